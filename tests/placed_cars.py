@@ -8,8 +8,8 @@ from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.kernel import fill_view
-from pcs_racing.race.positions import place_cars
 from pcs_racing.race.races import RaceSetup
+from pcs_racing.race.start_grid import settle
 from pcs_racing.race.state import empty_state
 
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
@@ -52,5 +52,5 @@ def placed(track, places, speeds=None, planner=HOLD, vehicles=None, **rules):
         x, y, psi = track.to_cartesian([s, d])
         state.cars[0, car, [X, Y, V, PSI]] = x, y, speeds[car], psi + sum(turned)
         state.progress[0, car] = s
-    place_cars(track.arrays, state, np.stack([[vehicle.as_row() for vehicle in setup.vehicles]]))
+    settle(track, setup.vehicles, state)
     return setup, state, np.array([[(0.0, speed) for speed in speeds]])

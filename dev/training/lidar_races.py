@@ -47,7 +47,7 @@ from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE
 from pcs_racing.race.conditions import AS_THE_SETUP, vehicle_rows
 from pcs_racing.race.config import CONTEST
 from pcs_racing.race.driving import largest_scratch, pointers_of
-from pcs_racing.race.kernel import WORK_SIZE, advance_races, fill_view
+from pcs_racing.race.kernel import WORK_SIZE, Crew, Parts, Races, Scratch, advance_races, fill_view
 from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.state import take as take_races
 from pcs_racing.track import frenet as _frenet
@@ -234,9 +234,8 @@ def play(
                     state.path[race, car],
                 )
         before[:] = state.progress
-        advance_races(
-            track, state, theta, vehicles, drivers, settings, STEP, 0, races, scratch, work
-        )
+        batch, crew = Races(state, theta, vehicles), Crew(drivers, Parts())
+        advance_races(track, batch, settings, crew, STEP, 0, races, Scratch(scratch, work))
         for race in range(races):
             over = _reward(state, race, settings.end_tick, before[race], options, rewards[race])
             ended[race] = over

@@ -53,7 +53,7 @@ from pcs_racing.race.calibrating import hazard_scan
 from pcs_racing.race.conditions import AS_THE_SETUP, vehicle_rows
 from pcs_racing.race.config import CONTEST, Rules
 from pcs_racing.race.driving import pointers_of
-from pcs_racing.race.kernel import WORK_SIZE, advance_races, fill_view
+from pcs_racing.race.kernel import WORK_SIZE, Crew, Parts, Races, Scratch, advance_races, fill_view
 from pcs_racing.race.races import RaceSetup, start_lines
 from pcs_racing.race.start_grid import Starts, place_on_grid
 from pcs_racing.race.state import RaceState, take as take_races
@@ -278,9 +278,8 @@ def play(
                     state.path[race, car],
                 )
         before[:] = state.progress
-        advance_races(
-            track, state, theta, vehicles, drivers, settings, STEP, 0, races, scratch, work
-        )
+        batch, crew = Races(state, theta, vehicles), Crew(drivers, Parts())
+        advance_races(track, batch, settings, crew, STEP, 0, races, Scratch(scratch, work))
         for race in range(races):
             over = _reward(
                 state, race, settings.end_tick, before[race], options, styles[race], rewards[race]

@@ -18,7 +18,7 @@ References
 
 import numpy as np
 
-from pcs_racing.base.compilation import compiled, inner_kernel, kernel
+from pcs_racing.base.compilation import compiled, kernel
 
 # 1.5 * 2**52: added to a number it leaves the nearest integer in the last bits
 _ROUNDER = 6755399441055744.0
@@ -115,12 +115,6 @@ def arcsine(x):
     return arctangent2(x, np.sqrt((1.0 - x) * (1.0 + x)))
 
 
-@inner_kernel(forceinline=True)
-def _power_of_two(n):
-    """Return 2.0**n for whole n in [-1022, 1023]."""
-    return np.int64((n + 1023) << 52).view(np.float64)
-
-
 @kernel
 def exponential(x):
     """Return e**x to 2 ulp; 0 below -745.2 and infinity above 709.8."""
@@ -136,7 +130,9 @@ def exponential(x):
     ) * q + 2.0
     # In two steps: the power alone may be out of range although the result is not.
     half = np.int64(n) >> 1
-    return (1.0 + 2.0 * (p / (below - p))) * _power_of_two(half) * _power_of_two(np.int64(n) - half)
+    first = np.int64((half + 1023) << 52).view(np.float64)
+    second = np.int64((np.int64(n) - half + 1023) << 52).view(np.float64)
+    return (1.0 + 2.0 * (p / (below - p))) * first * second
 
 
 @kernel

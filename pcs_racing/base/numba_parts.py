@@ -133,21 +133,48 @@ def address_of(code: Any) -> int:
     return code.library.get_pointer_to_function(code.fndesc.llvm_func_name)
 
 
-def call_with(wanted: tuple[types.Type, ...]) -> Any:
-    """Return a compiled function that calls an address with a tuple of arguments."""
+def address_for(function: Any, wanted: tuple[types.Type, ...]) -> Any:
+    """Compile a function for types of arguments, unless it is, and return its address.
+
+    Without compilation (``NUMBA_DISABLE_JIT``), return the function itself.
+    """
+    if not hasattr(function, "compile"):
+        return function
+    if wanted not in function.overloads:
+        function.compile(wanted)
+    return address_of(function.overloads[wanted])
+
+
+def compiled_address(function: Any, *arguments: Any) -> Any:
+    """Return the address of a compiled function for arguments of exactly these types.
+
+    Without compilation (``NUMBA_DISABLE_JIT``), return the function itself.
+    """
+    if not hasattr(function, "compile"):
+        return function
+    return address_for(function, tuple(map(typeof, arguments)))
+
+
+def call_with(wanted: tuple[types.Type, ...] | None = None) -> Any:
+    """Return a compiled function that calls an address with a tuple of arguments.
+
+    Without ``wanted`` types of arguments, the address must be of a function for the types of the
+    given arguments (`address_for`).
+    """
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        function = context.call_conv.get_function_type(types.none, wanted)
+        given = tuple(signature.args[1])
+        function = context.call_conv.get_function_type(types.none, given)
         callee = builder.inttoptr(values[0], function.as_pointer())
-        given = cgutils.unpack_tuple(builder, values[1], len(wanted))
-        status, _ = context.call_conv.call_function(builder, callee, types.none, wanted, given)
+        unpacked = cgutils.unpack_tuple(builder, values[1], len(given))
+        status, _ = context.call_conv.call_function(builder, callee, types.none, given, unpacked)
         with builder.if_then(status.is_error, likely=False):  # the race raises the planner's error
             context.call_conv.return_status_propagate(builder, status)
         return context.get_dummy_value()
 
     @intrinsic
     def call(typing: Any, address: Any, arguments: Any) -> Any:
-        if tuple(arguments) != wanted:
+        if wanted is not None and tuple(arguments) != wanted:
             raise errors.TypingError(f"a planner's function takes {wanted}, not {arguments}")
         return types.none(types.intp, arguments), generate
 

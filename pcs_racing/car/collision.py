@@ -60,7 +60,7 @@ def rectangles_overlap(a, b):
     return abs(dy * c1 - dx * s1) < b.half_width + a.half_length * s + a.half_width * c
 
 
-@inner_kernel(forceinline=True)
+@inner_kernel
 def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):
     """Return whether a segment, in a rectangle's own frame, passes through its inside."""
     if max(ax, bx) <= -half_length or min(ax, bx) >= half_length:
@@ -115,7 +115,7 @@ def _wall_in_rectangle(near, stretch, body):
     return False
 
 
-@inner_kernel(forceinline=True)
+@inner_kernel
 def hits_wall(near, s, body):
     """Compute `car_hits_wall` for :class:`WallArrays`, a :class:`Rectangle` and an arc length in
     [0, length).

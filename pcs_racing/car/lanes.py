@@ -9,7 +9,6 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.tyres import LINEAR
 from pcs_racing.car.vehicle import (
     Actuators,
     Handling,
@@ -17,6 +16,7 @@ from pcs_racing.car.vehicle import (
     actuators,
     handling,
     runge_kutta,
+    step_linear,
     step_to_target,
     target_inputs,
 )
@@ -69,17 +69,30 @@ def set_target(lanes, lane, steer, speed):
 
 
 @inner_kernel(forceinline=True)
-def step_alone(lanes, lane, state, p, dt):
-    """Advance ``state`` alone and return True if the lane's car is not one for `step_lanes`.
+def steps_alone(lanes, lane):
+    """Return whether a lane's car is not one for `step_lanes`.
 
     Cars that are too slow or too stiff for one step, and cars with Pacejka tyres, are stepped
     alone.
     """
-    if lanes[LANES * _vehicle.V + lane] >= lanes[_ALONE_BELOW + lane]:
-        return False
+    return not lanes[LANES * _vehicle.V + lane] >= lanes[_ALONE_BELOW + lane]
+
+
+@inner_kernel
+def step_alone(lanes, lane, state, p, dt):
+    """Advance the ``state`` of a lane's car alone."""
     store_car(lanes, lane, state)
     step_to_target(state, lanes[_STEER + lane], lanes[_SPEED + lane], p, dt)
-    return True
+
+
+@inner_kernel
+def step_slow(lanes, lane, state, p, dt):
+    """Advance the ``state`` of a lane's car with linear tyres alone."""
+    store_car(lanes, lane, state)
+    car, steer, speed = handling(p), lanes[_STEER + lane], lanes[_SPEED + lane]
+    delta, v = state[_vehicle.DELTA], state[_vehicle.V]
+    rate, acceleration = target_inputs(delta, v, steer, speed, car, actuators(p, dt), dt)
+    step_linear(state, rate, acceleration, p, car, dt)
 
 
 @inner_kernel
@@ -90,7 +103,7 @@ def step_lanes(lanes, cars, dt):
     ``VECTOR`` lanes are computed at a time. The lanes beyond the cars, up to the next multiple, are
     computed as well and may hold any numbers; numbers below 1e-307 would slow down the arithmetic.
 
-    Results are wrong for the cars of `step_alone`.
+    Results are wrong for the cars of `steps_alone`.
     """
     for first in range(0, cars, VECTOR):
         part = lanes[first:]
@@ -125,7 +138,7 @@ def step_lanes(lanes, cars, dt):
                 state.delta, state.v, part[_STEER + i], part[_SPEED + i], car, moves, dt
             )
             # No branch here: a branch would prevent vectorisation of the loop.
-            state = runge_kutta(state, rate, acceleration, car, LINEAR, dt, False)
+            state = runge_kutta(state, rate, acceleration, car, None, dt, -np.inf)
             part[LANES * _vehicle.X + i] = state.x
             part[LANES * _vehicle.Y + i] = state.y
             part[LANES * _vehicle.DELTA + i] = state.delta

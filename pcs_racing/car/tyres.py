@@ -24,9 +24,11 @@ GRAVITY = 9.81
 
 
 class Tyres(NamedTuple):
-    """Coefficients of a car's tyres, computed from its parameters."""
+    """Coefficients of Pacejka tyres, computed from a car's parameters.
 
-    pacejka: float  #: 1.0 for Pacejka's formula; 0.0 for linear tyres, without other coefficients.
+    The stiffness of linear tyres is in :class:`pcs_racing.car.vehicle.Handling`.
+    """
+
     b_f: float
     c_f: float
     e_f: float
@@ -38,10 +40,6 @@ class Tyres(NamedTuple):
     h: float  #: Height of the centre of gravity, m.
     mass_share: float  #: Mass per yaw inertia, 1/m^2.
     substeps: float  #: Number of Runge-Kutta steps per second at 1 m/s that keeps them stable.
-
-
-LINEAR = Tyres(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Linear tyres; their stiffness is in :class:`pcs_racing.car.vehicle.Handling`."""
 
 
 @kernel

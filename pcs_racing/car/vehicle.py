@@ -29,7 +29,6 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Settings, load_settings
 from pcs_racing.car.tyres import (
     GRAVITY,
-    LINEAR,
     Tyres,
     pacejka_peak,
     sliding_derivative,
@@ -488,9 +487,7 @@ def peak_acceleration(p, braking):
 
 @inner_kernel
 def tyres_of(p):
-    """Compute :class:`pcs_racing.car.tyres.Tyres` from a row of parameters."""
-    if p[TYRES] == 0.0:
-        return LINEAR
+    """Compute :class:`pcs_racing.car.tyres.Tyres` from a row of parameters of Pacejka's tyres."""
     front, rear = cornering_stiffness(p)
     grip, lf, lr = p[MU] / (p[LF] + p[LR]), p[LF], p[LR]
     mass_share = min(p[M] / p[INERTIA], max_mass_share(p))
@@ -498,7 +495,6 @@ def tyres_of(p):
     # stable up to 2.78 divided by the larger one.
     decay = lr * front + lf * rear + mass_share * lf * lr * (lf * front + lr * rear)
     return Tyres(
-        1.0,
         p[B_F],
         p[C_F],
         p[E_F],
@@ -511,14 +507,6 @@ def tyres_of(p):
         mass_share,
         0.5 * grip * GRAVITY * decay,
     )
-
-
-@inner_kernel(forceinline=True)
-def _limited_rate(delta, rate, car):
-    limit = car.steer_max
-    least = -car.steer_rate_max if delta > -limit else 0.0
-    most = car.steer_rate_max if delta < limit else 0.0
-    return min(max(rate, least), most)
 
 
 @inner_kernel(forceinline=True)
@@ -561,14 +549,19 @@ def _kinematic_derivative(state, rate, a, lr, wheelbase):
 
 
 @inner_kernel(forceinline=True)
-def derivative(state, rate, acceleration, car, tyres, alone):
-    """Return the right-hand side of the model, the derivative of a :class:`State`."""
+def derivative(state, rate, acceleration, car, tyres, rolls_below):
+    """Return the right-hand side of the model, the derivative of a :class:`State`.
+
+    ``tyres`` are None for linear tyres. Below the speed ``rolls_below`` (m/s) tyres roll without
+    slip.
+    """
     delta, v, psi_dot, beta = state.delta, state.v, state.psi_dot, state.beta
-    rate = _limited_rate(delta, rate, car)
+    least = -car.steer_rate_max if delta > -car.steer_max else 0.0
+    rate = min(max(rate, least), car.steer_rate_max if delta < car.steer_max else 0.0)
     a = _limited_acceleration(v, acceleration, car)
-    if alone and v < KINEMATIC_BELOW:
+    if v < rolls_below:
         return State(*_kinematic_derivative(state, rate, a, car.lr, car.lf + car.lr))
-    if alone and tyres.pacejka != 0.0:
+    if tyres is not None:
         return State(*sliding_derivative(state, rate, a, car.lf, car.lr, tyres))
     # Braking (a < 0) puts load on the front axle and takes it from the rear.
     front = car.front - car.front_shift * a
@@ -610,18 +603,17 @@ def _bounded(turn):
 
 
 @kernel(forceinline=True)
-def runge_kutta(state, rate, acceleration, car, tyres, dt, alone):
+def runge_kutta(state, rate, acceleration, car, tyres, dt, rolls_below):
     """Return a car's :class:`State` after a classic Runge-Kutta step of ``dt`` s.
 
     Steering rate (rad/s) and longitudinal acceleration (m/s^2) are constant, and limited inside the
-    derivative, in all four stages. ``alone``: the speed may be below ``KINEMATIC_BELOW`` in a
-    stage, and the tyres may be Pacejka's. Without ``alone`` there is no branch, so that loops over
-    many cars use vector instructions.
+    derivative, in all four stages. With ``rolls_below`` ``-np.inf`` and no ``tyres`` there is no
+    branch, so that loops over many cars use vector instructions.
     """
-    a = derivative(state, rate, acceleration, car, tyres, alone)
-    b = derivative(_moved(state, a, 0.5 * dt), rate, acceleration, car, tyres, alone)
-    c = derivative(_moved(state, b, 0.5 * dt), rate, acceleration, car, tyres, alone)
-    d = derivative(_moved(state, c, dt), rate, acceleration, car, tyres, alone)
+    a = derivative(state, rate, acceleration, car, tyres, rolls_below)
+    b = derivative(_moved(state, a, 0.5 * dt), rate, acceleration, car, tyres, rolls_below)
+    c = derivative(_moved(state, b, 0.5 * dt), rate, acceleration, car, tyres, rolls_below)
+    d = derivative(_moved(state, c, dt), rate, acceleration, car, tyres, rolls_below)
     w = dt / 6.0
     psi = state.psi + w * (a.psi + 2.0 * b.psi + 2.0 * c.psi + d.psi)
     return State(
@@ -642,25 +634,41 @@ def state_of(row):
     return State(row[X], row[Y], row[DELTA], row[V], row[PSI], row[PSI_DOT], row[BETA])
 
 
+@inner_kernel
+def _move(state, rate, acceleration, car, tyres, dt):
+    """Advance a row of a state in place by `runge_kutta`."""
+    before = State(state[0], state[1], state[2], state[3], state[4], state[5], state[6])
+    after = runge_kutta(before, rate, acceleration, car, tyres, dt, KINEMATIC_BELOW)
+    for k in range(STATE_SIZE):
+        state[k] = after[k]
+
+
+@inner_kernel
+def step_linear(state, rate, acceleration, p, car, dt):
+    """Advance one vehicle with linear tyres like `step`."""
+    decay = dt * eigenvalue(p, car, max(state[V] - dt * car.a_max, KINEMATIC_BELOW))
+    # The loads vary up to twofold with the acceleration.
+    count = 1 if decay <= STABLE else 1 + int(2.0 / STABLE * decay)
+    for _ in range(count):
+        _move(state, rate, acceleration, car, None, dt / count)
+
+
 @kernel
 def step(state, rate, acceleration, p, dt):
     """Advance one vehicle with parameter row ``p`` in place by one step (`runge_kutta`).
 
     The inputs are constant within the step.
     """
-    car, tyres = handling(p), tyres_of(p)
-    if tyres.pacejka != 0.0:
-        count = substeps_of(tyres, max(state[V], KINEMATIC_BELOW), dt)
-        count = max(count, 1 + int(dt * eigenvalue(p, car, np.inf)))
-    else:
-        decay = dt * eigenvalue(p, car, max(state[V] - dt * car.a_max, KINEMATIC_BELOW))
-        # The loads vary up to twofold with the acceleration.
-        count = 1 if decay <= STABLE else 1 + int(2.0 / STABLE * decay)
+    car = handling(p)
+    if p[TYRES] == 0.0:
+        step_linear(state, rate, acceleration, p, car, dt)
+        return
+    tyres = tyres_of(p)
+    count = substeps_of(tyres, max(state[V], KINEMATIC_BELOW), dt)
+    count = max(count, 1 + int(dt * eigenvalue(p, car, np.inf)))
     for _ in range(count):
-        after = runge_kutta(state_of(state), rate, acceleration, car, tyres, dt / count, True)
-        for k in range(STATE_SIZE):
-            state[k] = after[k]
-    if tyres.pacejka != 0.0 and state[V] < KINEMATIC_BELOW:
+        _move(state, rate, acceleration, car, tyres, dt / count)
+    if state[V] < KINEMATIC_BELOW:
         _roll(state, car)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import first_call
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.numba_parts import compiled_for
+from pcs_racing.base.numba_parts import compiled_address, compiled_for
 from pcs_racing.car.vehicle import half_sizes
 from pcs_racing.envs.batch import (
     FREE,
@@ -40,6 +40,7 @@ from pcs_racing.envs.drive_kernel import (
     RewardTerms,
     Sight,
     StepResults,
+    eyes_for,
     make_buffers,
     observe_races,
     set_commands,
@@ -74,7 +75,7 @@ from pcs_racing.race.driving import (
     planner_error,
     pointers_of,
 )
-from pcs_racing.race.kernel import WORK_SIZE
+from pcs_racing.race.kernel import WORK_SIZE, Crew, Scratch, advance_races, parts_for
 from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
 from pcs_racing.race.state import LAPS, RaceState, take
@@ -329,9 +330,28 @@ class DriveBatch:
             for planner in planners:  # all that may be drawn
                 planner.pointers()
             self._pointers = pointers_of(self._shares(), self.episodes)
+            self._obstructed = False
+            self._equip(self._rows)
+            inputs, buffers, seen = self._inputs[0], self._buffers[0], self._results().observations
+            own = Scratch(buffers.scratch, buffers.work)
+            self._advance = compiled_address(
+                advance_races, inputs.track, self.races, inputs.settings, self._crew, 0, 0, 0, own
+            )
+            self._observe = compiled_address(
+                observe_races, inputs, self.races, self._eyes, self._rows, 0, 0, buffers, seen
+            )
             if compiling:
                 actions = np.empty((self.episodes, self.players, 2))
                 self._step_part(self._orders(actions, 0), 0, 0, 0, self._results())
+
+    def _equip(self, rows: Rows) -> None:
+        """Compile the kernels that the races need, after changes to cars or tracks of some."""
+        tracks = [self._inputs[row].track for row in rows]
+        self._obstructed = self._obstructed or any(len(track.moving) for track in tracks)
+        inputs, races, moving = self._inputs[0], self.races, self._obstructed
+        parts = parts_for(inputs.settings, races.vehicles, moving)
+        self._crew = Crew(self._pointers, parts)
+        self._eyes = eyes_for(inputs, races, self._buffers[0], moving)
 
     @property
     def track(self) -> Track:
@@ -396,6 +416,7 @@ class DriveBatch:
             begun = take(grid, places[some])._replace(seed=seeds[some])
             for name, own in self.state._asdict().items():
                 own[rows[some]] = getattr(begun, name)
+        self._equip(rows)
         if self._moving is not None:
             self._moving.restart(rows, self.state, self.theta)
 
@@ -464,10 +485,12 @@ class DriveBatch:
 
     def _see(self, rows: NDArray[np.int64], players: int, out: NDArray[np.float32]) -> None:
         inputs = [self._inputs[row] for row in rows]
+        seen = np.empty((len(rows), players, out.shape[1]), np.float32)
         for first, last in runs_of(inputs):
-            sight = inputs[first].sight._replace(players=players)
-            one = inputs[first]._replace(sight=sight)
-            observe_races(one, self.races, rows[first:last], self._buffers[0], out)
+            part = seen[first:last].reshape(-1, out.shape[1])
+            own = inputs[first], self.races, self._eyes, rows[first:last]
+            observe_races(*own, 0, players, self._buffers[0], part)
+        out.reshape(-1, players, out.shape[1])[rows] = seen
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return actions as float64 of shape (B, players, 2).
@@ -538,7 +561,8 @@ class DriveBatch:
             rewards[rows] += float(self.options.win_reward) * won
 
     def _orders(self, actions: NDArray[np.float64], ticks: int) -> Orders:
-        return Orders(self._pointers, ticks, actions, self.rules.limits, self.rules.terms)
+        own = self._advance, self._observe, self._crew, self._eyes, self._rows
+        return Orders(*own, ticks, actions, self.rules.limits, self.rules.terms)
 
     def _results(self) -> StepResults:
         count = self.episodes * self.players
@@ -702,6 +726,7 @@ class DriveBatch:
         self._paid[:] = paid
         for row in range(self.episodes):
             self._seat(row)
+        self._equip(self._rows)
         if self._moving is not None:
             self._moving.set_state(moving)
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
+from pcs_racing.base.numba_parts import call_with, compiled_address
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import Rectangle
 from pcs_racing.car.lidar_errors import disturb_scan, lidar_place
@@ -24,10 +25,10 @@ from pcs_racing.car.lidar_kernel import (
     scan_walls,
 )
 from pcs_racing.race.config import CONTROL_EVERY, DT
-from pcs_racing.race.kernel import KernelSettings, advance_races
+from pcs_racing.race.kernel import Crew, KernelSettings, Races, Scratch
 from pcs_racing.race.positions import gap_to, laps_driven
-from pcs_racing.race.sensing import opponent_lost, sense_cars, senses_exactly
-from pcs_racing.race.state import MAX_CARS, RaceState
+from pcs_racing.race.sensing import opponent_lost, sense_cars
+from pcs_racing.race.state import MAX_CARS
 from pcs_racing.race.steering import disturbed_speed
 from pcs_racing.track.frenet import (
     KAPPA,
@@ -44,12 +45,10 @@ OWN_ELEMENTS = 8  # numbers about the own car
 STRETCH_ELEMENTS = 4  # numbers about each look-ahead distance
 OPPONENT_ELEMENTS = 9  # numbers about each opponent; they follow
 
-# Rows: velocity of each car of a race, its gap ahead of the observing car; order of the others.
-_VX, _VY, _GAP, _ORDER = range(4)
-SEEN_SHAPE = (4, MAX_CARS)
-
-# Conditions for the numbers about the opponent.
-NEVER, IN_SIGHT, ALWAYS = 0, 1, 2
+# Rows: velocity of each car of a race, its gap ahead of the observing car; order of the others; a
+# flag for lost opponents.
+_VX, _VY, _GAP, _ORDER, _LOST = range(5)
+SEEN_SHAPE = (5, MAX_CARS)
 
 # Separates the noise of the lidar from the noise of the steering, which has the same key.
 _LIDAR_KEY = np.uint64(0x5851F42D4C957F2D)
@@ -62,10 +61,10 @@ class Sight(NamedTuple):
     own_state: bool  #: Flag: the numbers about the own car are included.
     own_pose: bool  #: Flag: place and heading of the own car are included.
     ahead: NDArray[Any]  #: int64: Look-ahead distances in samples of the race line, each in [0, N).
-    #: Condition for the numbers about an opponent. ``NEVER``: there are no such numbers.
-    #: ``IN_SIGHT``: they are 0 if a wall hides the opponent or it is too far away. ``ALWAYS``.
-    opponent: int
-    others: int  #: Number of observed opponents.
+    others: int  #: Number of observed opponents, whose numbers are 0 for cars that don't exist.
+    #: None for a car alone, whose kernel has no code for opponents. True: the numbers are 0 if a
+    #: wall hides the opponent or it is too far away.
+    in_sight: bool | None
     time_left: bool  #: Flag: the remaining share of the race is included.
     end_tick: int  #: Duration of a race in steps of 0.01 s.
     beams: Beams  #: Beams of the lidar; without beams there is no scan.
@@ -83,12 +82,11 @@ class Inputs(NamedTuple):
     sight: Sight
 
 
-class Races(NamedTuple):
-    """Races of a batch: their state, the policies and the parameters of their cars."""
+class Eyes(NamedTuple):
+    """Addresses of the kernels that only some observations need; 0 without a use for them."""
 
-    state: RaceState
-    theta: NDArray[np.float64]  #: shape (B, N, P): Policy parameters.
-    vehicles: NDArray[np.float64]  #: shape (B, N, 48): Parameter rows of the cars.
+    scan: Any = 0  #: Scan of a lidar.
+    sense: Any = 0  #: Errors and delays of a car's sensors.
 
 
 class Limits(NamedTuple):
@@ -121,7 +119,11 @@ def step_reward(own, opponent, fault, weights):
 class Orders(NamedTuple):
     """Orders of a step: how long to drive, and who drives how."""
 
-    drivers: Any  #: Addresses of plan and control of each car.
+    advance: Any  #: Address of `advance_races`.
+    observe: Any  #: Address of `observe_races`.
+    crew: Crew
+    eyes: Eyes
+    rows: NDArray[np.int64]  #: shape (B,): Numbers of the races.
     ticks: int  #: Number of simulation steps.
     actions: NDArray[np.float64]  #: shape (B, players, 2): Steering and speed, in [-1, 1].
     limits: Limits
@@ -157,6 +159,9 @@ class StepResults(NamedTuple):
     terminated: NDArray[np.bool_]  #: shape (B * players,)
     truncated: NDArray[np.bool_]  #: shape (B * players,)
     observations: NDArray[np.float32]  #: shape (B * players, n)
+
+
+_call = call_with()
 
 
 @inner_kernel
@@ -257,66 +262,124 @@ def _sort_opponents(length, frenet, race, car, seen):
             count += 1
 
 
+@inner_kernel(forceinline=True)
+def _scan_from(inputs, races, race, car, pose, s, work, out):
+    """Write the inverse ranges to walls and cars; return False for a lidar in a wall."""
+    beams, cars, vehicles = inputs.sight.beams, races.state.cars, races.vehicles
+    if not scan_walls(inputs.track, beams, pose, s, work, out):
+        return False
+    for other in range(cars.shape[1]):
+        if other != car:
+            body = Rectangle(
+                cars[race, other, _vehicle.X],
+                cars[race, other, _vehicle.Y],
+                cars[race, other, _vehicle.PSI],
+                0.5 * vehicles[race, other, _vehicle.LENGTH],
+                0.5 * vehicles[race, other, _vehicle.WIDTH],
+            )
+            scan_car(beams, pose, body, work, out)
+    return True
+
+
 @inner_kernel
-def _scan(inputs, races, race, car, buffers, out):
+def scan(inputs, races, race, car, buffers, out):
+    """Write the ranges of a car's exact lidar in a race without moving obstacles."""
+    state, row = races.state, races.state.cars[race, car]
+    pose = Pose(row[_vehicle.X], row[_vehicle.Y], row[_vehicle.PSI])
+    s = state.frenet[race, car, 0]
+    if _scan_from(inputs, races, race, car, pose, s, buffers.scan, out):
+        for i in range(out.shape[0]):
+            out[i] = 1.0 / out[i]
+
+
+@inner_kernel
+def scan_imperfect(inputs, races, race, car, buffers, out):
     """Write the ranges that a car's lidar reports of the race as it is."""
-    track, sight, state, vehicles = inputs.track, inputs.sight, races.state, races.vehicles
-    cars, own, work = state.cars, vehicles[race, car], buffers.scan
+    track, beams, state, own = (
+        inputs.track,
+        inputs.sight.beams,
+        races.state,
+        races.vehicles[race, car],
+    )
     x, y, psi, s = (
-        cars[race, car, _vehicle.X],
-        cars[race, car, _vehicle.Y],
-        cars[race, car, _vehicle.PSI],
+        state.cars[race, car, _vehicle.X],
+        state.cars[race, car, _vehicle.Y],
+        state.cars[race, car, _vehicle.PSI],
         state.frenet[race, car, 0],
     )
     x, y, s = lidar_place(track, x, y, psi, s, own[_vehicle.LIDAR_X], own[_vehicle.LIDAR_Y])
     pose = Pose(x, y, psi + own[_vehicle.LIDAR_YAW])
-    if scan_walls(track, sight.beams, pose, s, work, out):
-        for other in range(cars.shape[1]):
-            if other != car:
-                body = Rectangle(
-                    cars[race, other, _vehicle.X],
-                    cars[race, other, _vehicle.Y],
-                    cars[race, other, _vehicle.PSI],
-                    0.5 * vehicles[race, other, _vehicle.LENGTH],
-                    0.5 * vehicles[race, other, _vehicle.WIDTH],
-                )
-                scan_car(sight.beams, pose, body, work, out)
-        scan_moving(track, sight.beams, pose, state.tick[race] * DT, work, out)
+    if _scan_from(inputs, races, race, car, pose, s, buffers.scan, out):
+        scan_moving(track, beams, pose, state.tick[race] * DT, buffers.scan, out)
         for i in range(out.shape[0]):
             out[i] = 1.0 / out[i]
     errors = own[_vehicle.LIDAR_FOV : _vehicle.LIDAR_STEP + 1]
     # Each beam has its own count at each tick: no scan repeats the noise of another scan.
     key, count = state.seed[race] ^ _LIDAR_KEY, state.tick[race] * out.shape[0]
-    disturb_scan(sight.beams, 0.0, errors, key, car, count, out)
+    disturb_scan(beams, 0.0, errors, key, car, count, out)
+
+
+@inner_kernel
+def sense(inputs, races, race, car, buffers):
+    """Write the cars of a race as one of them measures them, and whether it sees no other car."""
+    track, state, own = inputs.track, races.state, races.vehicles[race, car]
+    seed, tick = state.seed[race], state.tick[race]
+    sense_cars(
+        track.line,
+        track.ds,
+        track.length,
+        state.cars,
+        state.frenet,
+        state.progress,
+        race,
+        car,
+        own,
+        seed,
+        tick,
+        state.memory[race, car],
+        (buffers.cars, buffers.frenet, buffers.progress),
+    )
+    buffers.seen[_LOST, 0] = 1.0 if opponent_lost(own, seed, car, tick) else 0.0
 
 
 @inner_kernel(forceinline=True)
-def _observe(inputs, races, race, car, buffers):
-    """Write the observation of a car, in the units of the elements."""
-    track, sight, state, own = inputs.track, inputs.sight, races.state, races.vehicles[race, car]
-    row, seen, memory = buffers.row, buffers.seen, state.memory[race, car]
+def _see_others(inputs, races, race, car, measured, at, seen, row, k):
+    """Write the numbers about the opponents from ``row[k]`` on.
+
+    ``measured`` are the states, Frenet coordinates and progress of the cars of a race ``at``.
+    """
+    track, sight = inputs.track, inputs.sight
+    cars, frenet, progress = measured
+    number, lost = cars.shape[1], seen[_LOST, 0] != 0.0
+    _see_velocities(cars, at, seen)
+    sine, cosine = sine_cosine(cars[at, car, _vehicle.PSI])
+    _sort_opponents(track.length, frenet, at, car, seen)
+    for nth in range(sight.others):
+        hidden = lost or nth >= number - 1
+        other = 0 if hidden else int(seen[_ORDER, nth])
+        if sight.in_sight and not hidden:
+            reach = sight.beams.max_range
+            hidden = not _in_sight(track, races.state.cars, race, car, other, reach)
+        if hidden:
+            row[k : k + OPPONENT_ELEMENTS] = 0.0
+        else:
+            _see_opponent(cars, frenet, progress, at, car, other, sine, cosine, seen, row, k)
+        k += OPPONENT_ELEMENTS
+
+
+@inner_kernel(forceinline=True)
+def _observe(in_sight, inputs, races, eyes, race, car, buffers):
+    """Write the observation of a car, in the units of the elements.
+
+    ``in_sight`` is the sight's, as an argument: no code is compiled for opponents of a car alone.
+    """
+    track, sight, state = inputs.track, inputs.sight, races.state
+    row, memory = buffers.row, state.memory[race, car]
     cars, frenet, progress, at = state.cars, state.frenet, state.progress, race
-    number, exact, lost = cars.shape[1], senses_exactly(own), False
-    if not exact:
+    buffers.seen[_LOST, 0] = 0.0
+    if eyes.sense != 0:
+        _call(eyes.sense, (inputs, races, race, car, buffers))
         cars, frenet, progress, at = buffers.cars, buffers.frenet, buffers.progress, 0
-        seed, tick = state.seed[race], state.tick[race]
-        sense_cars(
-            track.line,
-            track.ds,
-            track.length,
-            state.cars,
-            state.frenet,
-            state.progress,
-            race,
-            car,
-            own,
-            seed,
-            tick,
-            memory,
-            (cars, frenet, progress),
-        )
-        _see_velocities(cars, 0, seen)
-        lost = opponent_lost(own, seed, car, tick)
     k = 0
     if sight.own_state:
         _see_own(track.line, track.ds, cars, frenet, memory, at, car, row, k)
@@ -327,27 +390,17 @@ def _observe(inputs, races, race, car, buffers):
         k += 3
     _see_line(track.line, track.ds, frenet[at, car, 0], sight.ahead, row, k)
     k += STRETCH_ELEMENTS * sight.ahead.shape[0]
-    if sight.opponent != NEVER:
-        sine, cosine = sine_cosine(cars[at, car, _vehicle.PSI])
-        _sort_opponents(track.length, frenet, at, car, seen)
-        for nth in range(sight.others):
-            hidden = lost or nth >= number - 1
-            other = 0 if hidden else int(seen[_ORDER, nth])
-            if sight.opponent == IN_SIGHT and not hidden:
-                reach = sight.beams.max_range
-                hidden = not _in_sight(track, state.cars, race, car, other, reach)
-            if hidden:
-                row[k : k + OPPONENT_ELEMENTS] = 0.0
-            else:
-                _see_opponent(cars, frenet, progress, at, car, other, sine, cosine, seen, row, k)
-            k += OPPONENT_ELEMENTS
-    if not exact:
-        _see_velocities(state.cars, race, seen)  # for the next car
+    if in_sight is None:
+        row[k : k + OPPONENT_ELEMENTS * sight.others] = 0.0
+    else:
+        measured = cars, frenet, progress
+        _see_others(inputs, races, race, car, measured, at, buffers.seen, row, k)
+    k += OPPONENT_ELEMENTS * sight.others
     if sight.time_left:
         row[k] = 1.0 - state.tick[race] / sight.end_tick
         k += 1
-    if row.shape[0] > k:
-        _scan(inputs, races, race, car, buffers, row[k:])
+    if eyes.scan != 0:
+        _call(eyes.scan, (inputs, races, race, car, buffers, row[k:]))
 
 
 @inner_kernel
@@ -365,33 +418,19 @@ def _write(row, sight, out):
         out[k] = np.float32(min(max(row[k], least), most) * factor + offset)
 
 
-@inner_kernel(forceinline=True)
-def _observe_players(inputs, races, race, buffers, out):
-    """Write the observations of a race's players to their rows of ``out``."""
-    players = inputs.sight.players
-    _see_velocities(races.state.cars, race, buffers.seen)
-    for car in range(players):
-        _observe(inputs, races, race, car, buffers)
-        _write(buffers.row, inputs.sight, out[race * players + car])
-
-
 @kernel
-def observe_races(inputs, races, rows, buffers, out):
-    """Write the observations of the players of the races ``rows`` to their rows of ``out``."""
-    for race in rows:
-        _observe_players(inputs, races, race, buffers, out)
+def observe_races(inputs, races, eyes, rows, first, last, buffers, out):
+    """Write the observations of cars ``first`` to ``last - 1`` of the races ``rows``.
 
-
-@kernel
-def observe_car(inputs, races, rows, car, buffers, out):
-    """Write the observation of one car of the races ``rows`` to successive rows of ``out``.
-
-    The car is observed as if a player drove it.
+    The cars of a race have successive rows of ``out``, races in the order of ``rows``. A car is
+    observed as if a player drove it.
     """
-    for i in range(rows.shape[0]):
-        _see_velocities(races.state.cars, rows[i], buffers.seen)
-        _observe(inputs, races, rows[i], car, buffers)
-        _write(buffers.row, inputs.sight, out[i])
+    row = 0
+    for race in rows:
+        for car in range(first, last):
+            _observe(inputs.sight.in_sight, inputs, races, eyes, race, car, buffers)
+            _write(buffers.row, inputs.sight, out[row])
+            row += 1
 
 
 @kernel
@@ -450,13 +489,26 @@ def _end_step(state, end_tick, terms, players, results, first, last):
 def step_races(inputs, races, orders, first, last, buffers, results):
     """Step races ``first`` to ``last - 1``: drive, then reward and observe."""
     track, settings, sight = inputs
-    state, theta, vehicles = races
-    drivers, ticks, actions, limits, terms = orders
-    set_commands(actions, limits, races, first, last)
-    scratch, work = buffers.scratch, buffers.work
-    advance_races(
-        track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work
-    )
-    _end_step(state, settings.end_tick, terms, sight.players, results, first, last)
-    for race in range(first, last):
-        _observe_players(inputs, races, race, buffers, results.observations)
+    set_commands(orders.actions, orders.limits, races, first, last)
+    own = Scratch(buffers.scratch, buffers.work)
+    _call(orders.advance, (track, races, settings, orders.crew, orders.ticks, first, last, own))
+    _end_step(races.state, settings.end_tick, orders.terms, sight.players, results, first, last)
+    rows = orders.rows[first:last]
+    out = results.observations[first * sight.players : last * sight.players]
+    _call(orders.observe, (inputs, races, orders.eyes, rows, 0, sight.players, buffers, out))
+
+
+def eyes_for(inputs: Inputs, races: Races, buffers: Buffers, moving: bool) -> Eyes:
+    """Return the kernels that observations of the races need; ``moving``: obstacles move."""
+    vehicles = races.vehicles.reshape(-1, races.vehicles.shape[-1])
+    used = (vehicles != 0.0).any(axis=0).tolist()
+    blurred = any(used[_vehicle.POSE_NOISE : _vehicle.OPPONENT_LOST + 1])
+    arguments = inputs, races, 0, 0, buffers
+    eyes = Eyes(sense=compiled_address(sense, *arguments) if blurred else 0)
+    if len(inputs.sight.beams.cos) == 0:
+        return eyes
+    whole = (vehicles[:, _vehicle.LIDAR_FOV] >= 2.0 * np.pi).all() and not moving
+    errors = used[_vehicle.LIDAR_X : _vehicle.LIDAR_FOV]
+    errors += used[_vehicle.LIDAR_NOISE : _vehicle.LIDAR_STEP + 1]
+    kernel = scan if whole and not any(errors) else scan_imperfect
+    return eyes._replace(scan=compiled_address(kernel, *arguments, buffers.row))

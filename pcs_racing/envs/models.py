@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import parse_yaml
-from pcs_racing.envs.drive_kernel import Inputs, Races, Sight, make_buffers, observe_car
+from pcs_racing.envs.drive_kernel import (
+    Inputs,
+    Races,
+    Sight,
+    eyes_for,
+    make_buffers,
+    observe_races,
+)
 from pcs_racing.envs.drive_options import (
     KEPT,
     DriveOptions,
@@ -137,7 +144,8 @@ class ModelDriver:
         buffers = make_buffers(0, 0, count, state.number)
         inputs = Inputs(track.arrays, settings, sight)
         races = Races(state, np.empty((0, 0, 0)), vehicles)
-        observe_car(inputs, races, rows, car, buffers, seen)
+        eyes = eyes_for(inputs, races, buffers, len(track.arrays.moving) > 0)
+        observe_races(inputs, races, eyes, rows, car, car + 1, buffers, seen)
         return self.commands_of(seen)
 
     def commands_of(self, seen: NDArray[np.float32]) -> NDArray[np.float64]:

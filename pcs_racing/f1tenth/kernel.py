@@ -13,11 +13,11 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine, tangent
 from pcs_racing.car.collision import Rectangle, contact_fault, inside_wall, rectangles_overlap
 from pcs_racing.car.lidar_kernel import Beams, Pose, draw_rectangle, scan_into
-from pcs_racing.car.tyres import LINEAR
 from pcs_racing.car.vehicle import (
     BETA,
     DELTA,
     INERTIA,
+    KINEMATIC_BELOW,
     LF,
     LR,
     PSI,
@@ -137,7 +137,8 @@ def write_rates(state, rate, acceleration, p, car, model, out):
     least = p[SV_MIN] if delta > p[S_MIN] else 0.0
     rate = min(max(rate, least), p[SV_MAX] if delta < p[S_MAX] else 0.0)
     if model == ST or (model == OLD_ST and abs(v) >= 0.5):
-        found = derivative(state_of(state), rate, acceleration, car, LINEAR, model == ST)
+        rolls_below = KINEMATIC_BELOW if model == ST else -np.inf
+        found = derivative(state_of(state), rate, acceleration, car, None, rolls_below)
         for k in range(len(found)):
             out[k] = found[k]
         return

@@ -16,7 +16,7 @@ from pcs_racing.track.frenet import TrackArrays
 _VECTOR = types.Array(types.float64, 1, "C")
 _MATRIX = types.Array(types.float64, 2, "C")
 
-_TRACK = types.NamedTuple(
+TRACK = types.NamedTuple(
     (
         types.float64,  # length
         types.float64,  # ds
@@ -39,8 +39,9 @@ _TRACK = types.NamedTuple(
     ),
     TrackArrays,
 )
+"""Type of a track in compiled code."""
 
-_PLAN = (_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX)
+_PLAN = (TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX)
 """Argument types of ``plan``: track, theta, view, memory, scratch and path."""
 _CONTROL = (*_PLAN, _VECTOR)
 """Argument types of ``control``: the same, and the command to write."""

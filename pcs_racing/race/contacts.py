@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.compilation import inner_kernel
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import Rectangle, contact_fault, hits_wall, rectangles_overlap
 from pcs_racing.planners.view import (
@@ -38,8 +38,9 @@ def _overlapped(before, car, other):
 
 
 @inner_kernel
-def _stand_on_line(near, moving, line, ds, length, tick, cars, race, car, s, vehicles):
+def _stand_on_line(near, track, tick, cars, race, car, s, vehicles):
     """Put a car at rest on the race line, at s or in free space behind s; return its arc length."""
+    line, ds = track.line, track.ds
     for _ in range(TRIES):
         i = int(np.floor(s / ds)) % line.shape[0]
         cars[race, car, :] = 0.0
@@ -47,7 +48,7 @@ def _stand_on_line(near, moving, line, ds, length, tick, cars, race, car, s, veh
         cars[race, car, _vehicle.Y] = line[i, _frenet.Y]
         cars[race, car, _vehicle.PSI] = line[i, _frenet.PSI]
         taken = hits_wall(near, i * ds, body(cars[race, car], vehicles[car]))
-        obstructed = touch_moving(moving, line, ds, length, tick, cars, race, vehicles)
+        obstructed = touch_moving(track, tick, cars, race, vehicles)
         taken = taken or obstructed >> car & 1 == 1
         for other in range(cars.shape[1]):
             taken = taken or (other != car and overlap(cars, race, car, other, vehicles))
@@ -69,19 +70,7 @@ def _set_back(near, track, state, race, car, s, vehicles, mode, before):
         ] = 0.0
         s, d = view[TRUE_S], view[TRUE_D]
     else:
-        s = _stand_on_line(
-            near,
-            track.moving,
-            track.line,
-            track.ds,
-            track.length,
-            state.tick[race],
-            cars,
-            race,
-            car,
-            s,
-            vehicles,
-        )
+        s = _stand_on_line(near, track, state.tick[race], cars, race, car, s, vehicles)
     move_along(
         track.length, state.frenet, state.progress, state.laps, state.tick[race], race, car, s, d
     )
@@ -95,20 +84,18 @@ def _note(fault, contact, race, car, kind, blamed):
     contact[race, car] = kind
 
 
-@kernel
-def settle_contacts(track, state, race, vehicles, mode, before):
-    """Set back cars that hit a wall or, by their own fault, a car; return whether there are any.
+@inner_kernel
+def settle_contacts(track, state, vehicles, settings, race, car, before):
+    """Set back cars that hit a wall or, by their own fault, a car.
 
     ``before`` holds the views of the cars before the control period, one after the other. If both
     cars are at fault and are put on the line, the car ahead keeps its place. Cars that already
-    overlapped are left alone, so that they can part.
+    overlapped are left alone, so that they can part. A car with too many faults ends the race.
     """
     near = _frenet.WallArrays(*track[_frenet.WALLS_BEGIN : _frenet.WALLS_END])
     cars, frenet, fault, contact = state.cars, state.frenet, state.fault, state.contact
-    moved, touched = False, 0
-    obstructed = touch_moving(
-        track.moving, track.line, track.ds, track.length, state.tick[race], cars, race, vehicles
-    )
+    mode, touched = settings.contact, 0
+    obstructed = touch_moving(track, state.tick[race], cars, race, vehicles)
     for car in range(cars.shape[1]):
         in_wall = hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car]))
         meets = obstructed >> car & 1
@@ -116,7 +103,7 @@ def settle_contacts(track, state, race, vehicles, mode, before):
             s = frenet[race, car, 0] - meets * BEHIND
             _note(fault, contact, race, car, _state.WALL_CRASH, True)
             _set_back(near, track, state, race, car, s, vehicles, mode, before)
-            moved, touched = True, touched | 1 << car
+            touched |= 1 << car
     for one in range(cars.shape[1]):
         for two in range(one + 1, cars.shape[1]):
             if not overlap(cars, race, one, two, vehicles):
@@ -136,8 +123,8 @@ def settle_contacts(track, state, race, vehicles, mode, before):
                     both = fault1 and fault2 and turn == 1
                     s = frenet[race, car, 0] if both else frenet[race, other, 0] - BEHIND
                     _set_back(near, track, state, race, car, s, vehicles, mode, before)
-                    moved = True
     for car in range(cars.shape[1]):
         if touched >> car & 1 == 0 and abs(cars[race, car, _vehicle.V]) > DRIVES_AGAIN:
             contact[race, car] = _state.NO_CRASH
-    return moved
+        if 0 < settings.most_faults <= fault[race, car]:
+            state.crash[race, car] = contact[race, car]

@@ -19,7 +19,17 @@ from pcs_racing.planners.pursuit import COMMAND_SLOTS, held_command
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions, Share
 from pcs_racing.race.config import CONTACTS, CONTROL_EVERY, DT, Rules
-from pcs_racing.race.kernel import ASKED, WORK_SIZE, KernelSettings, advance_races, fill_view
+from pcs_racing.race.kernel import (
+    ASKED,
+    WORK_SIZE,
+    Crew,
+    KernelSettings,
+    Races,
+    Scratch,
+    advance_races,
+    fill_view,
+    parts_for,
+)
 from pcs_racing.race.state import RaceState
 from pcs_racing.race.steering import disturbed_speed
 from pcs_racing.track.frenet import TrackArrays
@@ -198,19 +208,18 @@ def _drive_compiled(
             f"theta has shape {theta.shape} and type {theta.dtype}; it must be C-contiguous float64"
             f" of shape {wanted}"
         )
-    size = largest_scratch(planners)
+    size, batch = largest_scratch(planners), Races(state, theta, cars)
+    moving = any(len(track.arrays.moving) for track, _, _ in runs)
 
-    def part(arrays: TrackArrays, first: int, last: int) -> None:  # `drivers` is bound below
-        scratch, work = np.empty(size), np.zeros(WORK_SIZE)
+    def part(arrays: TrackArrays, first: int, last: int) -> None:  # `crew` is bound below
+        buffers = Scratch(np.empty(size), np.zeros(WORK_SIZE))
         try:
-            advance_races(
-                arrays, state, theta, cars, drivers, settings, ticks, first, last, scratch, work
-            )
+            advance_races(arrays, batch, settings, crew, ticks, first, last, buffers)
         except Exception as error:
-            raise planner_error(error, shares, work) from error
+            raise planner_error(error, shares, buffers.work) from error
 
     with first_call(advance_races, "the planners and the race kernel", 14) as compiling:
-        drivers = pointers_of(shares, races)
+        crew = Crew(pointers_of(shares, races), parts_for(settings, cars, moving))
         if compiling and runs:
             part(runs[0][0].arrays, 0, 0)
     workers = min(threads or default_threads(), races, races * ticks // TICKS_OF_A_THREAD)

@@ -13,22 +13,8 @@ from pcs_racing.car.collision import (
 )
 from pcs_racing.race import state as _state
 from pcs_racing.race.config import CONTROL_EVERY, DT
-from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, foot, locate, shorter_way
+from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, locate, shorter_way
 from pcs_racing.track.moving import HALF_LENGTH, HALF_WIDTH, pose_at
-
-
-@kernel
-def end_lap(laps, race, car, time):
-    """Count a lap that ended at a time, and record its duration."""
-    lap = time - laps[race, car, _state.ENDED_AT]
-    best = laps[race, car, _state.BEST_LAP]
-    column = _state.LAP_COLUMNS + int(laps[race, car, _state.LAPS])
-    if column < laps.shape[2]:
-        laps[race, car, column] = lap
-    laps[race, car, _state.LAPS] += 1.0
-    laps[race, car, _state.ENDED_AT] = time
-    laps[race, car, _state.LAP_TIME] = lap
-    laps[race, car, _state.BEST_LAP] = lap if best == 0.0 else min(best, lap)
 
 
 @inner_kernel(forceinline=True)
@@ -56,27 +42,16 @@ def move_along(length, frenet, progress, laps, tick, race, car, s, d):
     # A car that rolls back over the line and returns has ended that lap already.
     beyond = progress[race, car] - (laps[race, car, _state.LAPS] + 1.0) * length
     if beyond >= 0.0 and driven > 0.0:
-        end_lap(laps, race, car, (tick - CONTROL_EVERY * beyond / driven) * DT)
+        time, own = (tick - CONTROL_EVERY * beyond / driven) * DT, laps[race, car]
+        lap, best = time - own[_state.ENDED_AT], own[_state.BEST_LAP]
+        column = _state.LAP_COLUMNS + int(own[_state.LAPS])
+        if column < own.shape[0]:
+            own[column] = lap
+        own[_state.LAPS] += 1.0
+        own[_state.ENDED_AT], own[_state.LAP_TIME] = time, lap
+        own[_state.BEST_LAP] = lap if best == 0.0 or lap < best else best
     frenet[race, car, 0] = s
     frenet[race, car, 1] = d
-
-
-@kernel(forceinline=True)
-def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, car):
-    """Project a car onto the race line and update its progress.
-
-    The arguments are single arrays: the reference counts of whole named tuples cost more than the
-    work of a small function.
-    """
-    s, d = foot(
-        line,
-        ds,
-        length,
-        cars[race, car, _vehicle.X],
-        cars[race, car, _vehicle.Y],
-        frenet[race, car, 0],
-    )
-    move_along(length, frenet, progress, laps, tick, race, car, s, d)
 
 
 @inner_kernel(forceinline=True)
@@ -138,11 +113,11 @@ def overlap(cars, race, one, other, vehicles):
 
 
 @inner_kernel
-def touch_moving(moving, line, ds, length, tick, cars, race, vehicles):
+def touch_moving(track, tick, cars, race, vehicles):
     """Return the cars of a race that touch a moving obstacle, one bit for each car."""
-    touched = 0
+    moving, touched = track.moving, 0
     for k in range(moving.shape[0]):
-        x, y, psi = pose_at(moving, line, ds, length, k, tick * DT)
+        x, y, psi = pose_at(moving, track.line, track.ds, track.length, k, tick * DT)
         half_length, half_width = moving[k, HALF_LENGTH], moving[k, HALF_WIDTH]
         for car in range(cars.shape[1]):
             own = body(cars[race, car], vehicles[car])
@@ -156,53 +131,51 @@ def touch_moving(moving, line, ds, length, tick, cars, race, vehicles):
 
 
 @inner_kernel(forceinline=True)
-def collide(near, cars, frenet, crash, fault, race, vehicles, number, walls):
-    """Latch crashes of ``number`` cars and their faults; return whether there is a crash.
+def collide(drivers, near, state, race, vehicles, walls):
+    """Latch crashes of cars and their faults; return whether there is a crash.
 
-    ``walls`` has a bit for each car that touches a moving obstacle, which counts as a wall.
+    ``drivers`` has an item for each car, and ``walls`` a bit for each car that touches a moving
+    obstacle, which counts as a wall.
     """
+    number = len(drivers)
     for car in range(number):
-        if hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car])):
+        own = body(state.cars[race, car], vehicles[car])
+        if hits_wall(near, state.frenet[race, car, 0], own):
             walls |= 1 << car
     crashed = walls != 0
+    if len(drivers) == 1:
+        if crashed:
+            state.crash[race, 0] = _state.WALL_CRASH
+            state.fault[race, 0] = 1
+        return crashed
     for one in range(number):
         for other in range(one + 1, number):
-            crashed = crashed or overlap(cars, race, one, other, vehicles)
+            crashed = crashed or overlap(state.cars, race, one, other, vehicles)
     if crashed:
-        _latch(cars, crash, fault, race, vehicles, walls)
+        _latch(state.cars, state.crash, state.fault, race, vehicles, walls)
     return crashed
 
 
 @kernel
-def place_cars(track, state, vehicles):
-    """Set the Frenet coordinates of new cars; mark cars in a wall or in another car as crashed."""
+def place_cars(track, cars, frenet, crash, vehicles):
+    """Write the Frenet coordinates of new cars; mark cars in a wall as crashed."""
     near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
-    for race in range(state.tick.shape[0]):
-        number = state.cars.shape[1]
-        for car in range(number):
-            s, d = locate(
-                track, state.cars[race, car, _vehicle.X], state.cars[race, car, _vehicle.Y]
-            )
-            state.frenet[race, car, 0] = s
-            state.frenet[race, car, 1] = d
-        touched = touch_moving(
-            track.moving,
-            track.line,
-            track.ds,
-            track.length,
-            state.tick[race],
-            state.cars,
-            race,
-            vehicles[race],
-        )
-        collide(
-            near,
-            state.cars,
-            state.frenet,
-            state.crash,
-            state.fault,
-            race,
-            vehicles[race],
-            number,
-            touched,
-        )
+    for race in range(cars.shape[0]):
+        for car in range(cars.shape[1]):
+            own = body(cars[race, car], vehicles[race, car])
+            frenet[race, car, 0], frenet[race, car, 1] = locate(track, own.x, own.y)
+            if hits_wall(near, frenet[race, car, 0], own):
+                crash[race, car] = _state.WALL_CRASH
+
+
+@kernel
+def mark_contacts(track, cars, crash, vehicles, tick):
+    """Mark cars in another car or in a moving obstacle as crashed."""
+    for race in range(cars.shape[0]):
+        touched = touch_moving(track, tick[race], cars, race, vehicles[race])
+        for car in range(cars.shape[1]):
+            if touched >> car & 1:
+                crash[race, car] = _state.WALL_CRASH
+            for other in range(car):
+                if overlap(cars, race, car, other, vehicles[race]):
+                    crash[race, car] = crash[race, other] = _state.CAR_CRASH

@@ -10,7 +10,7 @@ from pcs_racing.base.typing import Floats
 from pcs_racing.car.vehicle import PSI, V, VehicleParams
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import Rules
-from pcs_racing.race.positions import place_cars
+from pcs_racing.race.positions import mark_contacts, place_cars
 from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.track import Track
@@ -118,7 +118,10 @@ def settle(
     cars = conditions.rows(vehicles, state.races)
     for on, first, last in conditions.runs(track, state.races):
         part = RaceState._make(array[first:last] for array in state)
-        place_cars(on.arrays, part, cars[first:last])
+        own = cars[first:last]
+        place_cars(on.arrays, part.cars, part.frenet, part.crash, own)
+        if len(vehicles) > 1 or len(on.arrays.moving):
+            mark_contacts(on.arrays, part.cars, part.crash, own, part.tick)
 
 
 def stretches_of(fit: NDArray[np.bool_]) -> Stretches:

@@ -10,13 +10,6 @@ from pcs_racing.race.config import CONTROL_EVERY
 _SPEED_KEY = np.uint64(0xDA942042E4DD58B5)  # makes the noise of the speed another sequence
 
 
-@inner_kernel(forceinline=True)
-def steering_sd(settings, vehicle):
-    """Return the standard deviation of a car's steering disturbance: its own, else the rules'."""
-    own = vehicle[_vehicle.STEER_NOISE]
-    return settings.noise_sd if own < 0.0 else own
-
-
 @kernel(forceinline=True)
 def disturbed_speed(speed, vehicle, seed, car, tick):
     """Return a speed command (m/s) with the car's noise, the same until the next command."""
@@ -27,7 +20,21 @@ def disturbed_speed(speed, vehicle, seed, car, tick):
 
 
 @inner_kernel
-def delayed(memory, delay, tick, command, behind=0.0):
+def send_late(track, state, vehicles, settings, race, car, command):
+    """Change a command by the noise and the delays of its car."""
+    own, memory, tick = vehicles[car], state.memory[race, car], state.tick[race]
+    delay, late = own[_vehicle.STEER_DELAY], own[_vehicle.SPEED_DELAY]
+    if delay > 0.0:
+        command[0] = delayed(memory, delay, tick, command[0], 0.0)
+    command[1] = disturbed_speed(command[1], own, state.seed[race], car, tick)
+    if late > 0.0:
+        command[1] = delayed(memory, late, tick, command[1], delay)
+        if tick < late * CONTROL_EVERY:  # before the first command arrives
+            command[1] = state.cars[race, car, _vehicle.V]
+
+
+@inner_kernel
+def delayed(memory, delay, tick, command, behind):
     """Queue a command at the end of a car's memory; return the command that is due.
 
     ``behind`` is the length of another queue, behind this one.

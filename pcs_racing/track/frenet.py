@@ -221,7 +221,9 @@ def project(track, x, y, hint):
 def offset(line, ds, length, s, d):
     """Compute `to_cartesian` on single arrays."""
     at = _wrap(length, s) / ds
-    i = min(int(at), line.shape[0] - 1)
+    i = int(at)
+    if i >= line.shape[0]:
+        i = line.shape[0] - 1
     u = at - i
     qx, qy, ax, ay, bx, by = _cubic(line, ds, i)
     tx = qx + u * (2.0 * ax + 3.0 * u * bx)
@@ -258,8 +260,16 @@ def _in_sight(distance, u0, v0, u1, v1):
 
 
 @inner_kernel
-def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):
-    """Compute `locate` for (x, y) in m and (u, v) in cells; ``coarse``: cells per look-up cell."""
+def locate(track, x, y):
+    """Return the Frenet coordinates of a point anywhere near the track, without a hint.
+
+    The walk starts from the four cells of the look-up grid around the point. If they lead to
+    different parts of the line, as near a thin wall between two parts, the nearest visible part is
+    taken. A point outside the map is projected from the nearest cell.
+    """
+    line, ds, length, lookup, cell = track.line, track.ds, track.length, track.lookup, track.cell
+    u, v = (x - track.origin_x) / cell, (y - track.origin_y) / cell
+    coarse = track.lookup_cell / cell  # cells per look-up cell
     rows, cols = lookup.shape
     row = int(min(max(np.floor(v / coarse - 0.5), -1.0), rows + 0.0))
     col = int(min(max(np.floor(u / coarse - 0.5), -1.0), cols + 0.0))
@@ -274,33 +284,10 @@ def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):
         if best_s >= 0.0 and abs(s - best_s) < ds:
             continue
         fx, fy, _ = offset(line, ds, length, s, 0.0)
-        seen = _in_sight(distance, u, v, u + (fx - x) / cell, v + (fy - y) / cell)
+        seen = _in_sight(track.distance, u, v, u + (fx - x) / cell, v + (fy - y) / cell)
         if best_s < 0.0 or (seen and not best_seen) or (seen == best_seen and abs(d) < abs(best_d)):
             best_s, best_d, best_seen = s, d, seen
     return best_s, best_d
-
-
-@inner_kernel
-def locate(track, x, y):
-    """Return the Frenet coordinates of a point anywhere near the track, without a hint.
-
-    The walk starts from the four cells of the look-up grid around the point. If they lead to
-    different parts of the line, as near a thin wall between two parts, the nearest visible part is
-    taken. A point outside the map is projected from the nearest cell.
-    """
-    return _locate(
-        track.line,
-        track.ds,
-        track.length,
-        track.distance,
-        track.lookup,
-        track.lookup_cell / track.cell,
-        (x - track.origin_x) / track.cell,
-        (y - track.origin_y) / track.cell,
-        x,
-        y,
-        track.cell,
-    )
 
 
 @inner_kernel

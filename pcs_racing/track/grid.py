@@ -23,7 +23,8 @@ def distance_to_walls(drivable, cell):
     cell faces instead of cell centres.
     """
     height, width = drivable.shape
-    out = np.zeros((height, width), dtype=np.float32)
+    out = np.empty((height, width), dtype=np.float32)
+    out[:] = 0.0
     # Along each column, in cells, to the nearest horizontal wall face.
     for i in range(1, height):
         for j in range(width):

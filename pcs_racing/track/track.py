@@ -145,8 +145,10 @@ def _to_frenet(track, points, out):
 
 @compiled
 def _to_cartesian(track, sd, out):
+    line, ds, length = track.line, track.ds, track.length
     for k in range(sd.shape[0]):
-        out[k, 0], out[k, 1], out[k, 2] = frenet.to_cartesian(track, sd[k, 0], sd[k, 1])
+        place = frenet.offset(line, ds, length, sd[k, 0], sd[k, 1])
+        out[k, 0], out[k, 1], out[k, 2] = place
 
 
 @compiled

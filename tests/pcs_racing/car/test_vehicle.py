@@ -13,6 +13,7 @@ from pcs_racing.car.lanes import (
     set_target,
     step_alone,
     step_lanes,
+    steps_alone,
     store_car,
 )
 from pcs_racing.car.vehicle import (
@@ -302,7 +303,9 @@ def _drive(lanes, states, params, targets, steps):  # type: ignore[no-untyped-de
     taken = 0
     for _ in range(steps):
         for lane in range(states.shape[0]):
-            slow[lane] = step_alone(lanes, lane, states[lane], params[lane], 0.01)
+            slow[lane] = steps_alone(lanes, lane)
+            if slow[lane]:
+                step_alone(lanes, lane, states[lane], params[lane], 0.01)
         step_lanes(lanes, states.shape[0], 0.01)
         for lane in range(states.shape[0]):
             if slow[lane]:

@@ -11,7 +11,7 @@ from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.race.positions import place_cars
+from pcs_racing.race.start_grid import settle
 
 TOP = 8.0
 AHEAD = (0.0, 1.5, 30.0, 49.0)
@@ -33,7 +33,7 @@ def put(env, poses, speeds=(0.0, 0.0)):
         x, y, psi = track.to_cartesian([s, d])
         races.cars[0, car] = x, y, 0.0, speeds[car], np.mod(psi, 2.0 * np.pi), 0.0, 0.0
         races.progress[0, car] = s
-    place_cars(track.arrays, races, env.batch.races.vehicles)
+    settle(track, env.batch.setup.vehicles, races)
     return races
 
 

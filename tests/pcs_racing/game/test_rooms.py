@@ -25,7 +25,7 @@ def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarr
     checked: list[np.ndarray] = []
     advance, check = driving.advance_races, rules.check_moves
 
-    def kernel(track, state, theta, *rest):
+    def kernel(track, races, *rest):
         names = [
             frame.filename
             for frame in reversed(inspect.stack())
@@ -33,8 +33,8 @@ def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarr
         ]
         files = [str(Path(name).relative_to(HOME)) for name in names]
         ways.append([file for i, file in enumerate(files) if i == 0 or files[i - 1] != file])
-        thetas.append(theta.copy())
-        advance(track, state, theta, *rest)
+        thetas.append(races.theta.copy())
+        advance(track, races, *rest)
 
     def checking(moves, *rest, **more):
         checked.append(np.asarray(moves))

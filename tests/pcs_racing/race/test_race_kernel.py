@@ -270,7 +270,7 @@ def test_noise_is_the_sum_of_four_parts_and_a_command_is_due_after_its_delay():
         assert normal_noise(np.uint64(seed), car, tick) == pytest.approx(expected, abs=1e-12)
     # The queue is at the end of the driver's memory; the rest belongs to the driver.
     memory, queue = np.array([9.0, 9.0, 0.0, 0.0, 0.0]), getattr(delayed, "py_func", delayed)
-    assert [queue(memory, 3.0, 2 * k, k + 1.0) for k in range(8)] == [
+    assert [queue(memory, 3.0, 2 * k, k + 1.0, 0.0) for k in range(8)] == [
         0.0,
         0.0,
         0.0,
@@ -296,7 +296,9 @@ def test_a_wall_is_the_fault_of_the_car_that_stands_in_it(coarse_oval):
         ([(6.0, 1.15), (6.3, 1.0)], [WALL_CRASH, NO_CRASH], [1, 0]),  # and in each other
         ([(6.0, 0.0), (6.5, 0.0)], [CAR_CRASH, CAR_CRASH], [1, 1]),  # both stand
     ]:
-        _, state, _ = placed(coarse_oval, places)
+        setup, state, theta = placed(coarse_oval, places)
+        state.crash[:] = NO_CRASH
+        advance(setup, state, theta, 2)
         assert crash_and_fault(state) == (crash, fault)
 
 
