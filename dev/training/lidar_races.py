@@ -311,7 +311,7 @@ class Group:
         planners = (LEARNER, other)
         setup = RaceSetup(track, CONTEST, planners, max_delays=ranges.max_delays)
         if number % REST_EVERY == 0:
-            setup = replace(setup, config=replace(REST, speed_range=setup.speed_range))
+            setup = replace(setup, rules=replace(REST, speed_range=setup.speed_range))
         self.slow = SLOWDOWN[number % len(SLOWDOWN)] if family in OF_LINES else 1.0
         self.track = track.arrays
         self.settings = setup.settings._replace(

@@ -257,7 +257,7 @@ class SB3VecEnv(VecEnv):
 
         The environment's own attributes can't be changed.
         """
-        if attr_name in self.groups[0].options_type.names():
+        if attr_name in self.groups[0].options_type.defaults():
             refuse(attr_name)
         if attr_name in SHARED or attr_name.startswith("_") or hasattr(OneOfBatch, attr_name):
             raise InputError(

@@ -460,7 +460,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
     assert {name for name in importing if "/f1tenth/" not in name} == {
         "pcs_racing/base/files.py:json.loads",
         "pcs_racing/planners/own_files.py:spec_from_file_location",
-        "pcs_racing/planners/registry.py:resolve_name",
+        "pcs_racing/planners/shipped.py:resolve_name",
         "pcs_racing/track/loading.py:json.loads",  # of the cache
         "pcs_racing/track/track.py:json.loads",
         "pcs_racing_agents/agents/from_torch.py:module.eval",  # a switch of torch

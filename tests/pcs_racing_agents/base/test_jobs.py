@@ -330,10 +330,9 @@ def test_fingerprints_tell_values_apart():
 
 
 def test_rules_have_the_fingerprint_of_their_races():
-    rules = [load_rules("paper", **changes) for changes in ({}, {"duration": 40.0})]
-    assert fingerprint(rules[0]) == fingerprint(rules[1])
-    others = [{"laps": 1}, {"laps": 2}, {"laps": 1, "duration": 8.0}, {"duration": 8.0}]
-    every = [rules[0], *(load_rules("paper", **changes) for changes in others)]
+    changes = [{}, {"laps": 1}, {"laps": 2}, {"laps": 1, "duration": 8.0}, {"duration": 8.0}]
+    every = [load_rules("paper", **one) for one in changes]
+    assert fingerprint(every[0]) == fingerprint(load_rules("paper"))
     assert len(set(map(fingerprint, every))) == len(every)
     assert fingerprint((1, 2)) == fingerprint([1, 2])
     assert fingerprint(np.asfortranarray(np.eye(3) + 1)) == fingerprint(np.eye(3) + 1)
