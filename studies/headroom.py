@@ -11,8 +11,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.checks import check_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_whole
 from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.planner import Policy

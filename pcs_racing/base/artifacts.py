@@ -14,8 +14,7 @@ from typing import Any
 
 import yaml
 
-from pcs_racing.base.checks import check_path
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import InputError, UnknownNameError, check_path
 from pcs_racing.base.files import (
     MAX_YAML,
     parse_yaml,

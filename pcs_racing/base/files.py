@@ -21,8 +21,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_path
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_path
 
 NEXT = ".next"
 """Folder of new files until all of them are at their places (:func:`write_together`)."""

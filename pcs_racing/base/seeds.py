@@ -6,8 +6,8 @@ Random numbers are pure functions of a key, a car and a count: no generator has 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_seed
 from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.errors import check_seed
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 """Step between the inputs of `scramble` in a sequence of random numbers (splitmix64)."""

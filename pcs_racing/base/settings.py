@@ -28,8 +28,16 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, 
 import numpy as np
 from annotated_types import Interval, Len, MinLen, MultipleOf, Predicate
 
-from pcs_racing.base.checks import check_choice, did_you_mean, is_number, is_whole, within
-from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
+from pcs_racing.base.errors import (
+    ConfigError,
+    InputError,
+    UnknownNameError,
+    check_choice,
+    did_you_mean,
+    is_number,
+    is_whole,
+    within,
+)
 from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited
 
 S = TypeVar("S", bound="Settings")

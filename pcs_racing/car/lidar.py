@@ -8,10 +8,9 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
-from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.errors import ConfigError, InputError, check_number
 from pcs_racing.base.settings import Checked, Settings
 from pcs_racing.car.collision import Rectangle
 from pcs_racing.car.lidar_errors import EDGE

@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import as_array, check_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, as_array, check_whole
 from pcs_racing.car.vehicle import BETA, DELTA, F1TENTH, PSI, PSI_DOT, V
 from pcs_racing.race.config import Rules
 from pcs_racing.race.races import RaceSetup

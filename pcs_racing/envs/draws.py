@@ -31,8 +31,7 @@ from typing import Any, Literal, get_args, get_origin
 import numpy as np
 from annotated_types import Interval, MultipleOf
 
-from pcs_racing.base.checks import did_you_mean, is_number
-from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.errors import ConfigError, did_you_mean, is_number
 from pcs_racing.base.settings import Option, number_range, options_of, read_settings
 from pcs_racing.car.vehicle import RULES_NOISE, VehicleParams
 from pcs_racing.race.state import MAX_CARS

@@ -10,9 +10,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import first_call
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, all_finite
 from pcs_racing.base.numba_parts import compiled_address, compiled_for
 from pcs_racing.car.vehicle import half_sizes
 from pcs_racing.envs.batch import (

@@ -12,8 +12,7 @@ import numpy as np
 from annotated_types import Interval, Len
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_number
-from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.errors import ConfigError, InputError, check_number
 from pcs_racing.base.settings import ANYTHING, Checked, OneOf
 from pcs_racing.base.typing import ObservationElement as Element
 from pcs_racing.car.lidar_kernel import FIELD_OF_VIEW, MAX_BEAMS, MAX_RANGE, Beams

@@ -9,9 +9,8 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import is_whole
 from pcs_racing.base.elementary import lengths
-from pcs_racing.base.errors import ConfigError, say_once
+from pcs_racing.base.errors import ConfigError, is_whole, say_once
 from pcs_racing.base.settings import OneOf, Settings, load_settings, number_range
 from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.moving import BOX, LANES, MOTION, make_lanes

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_number
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_number
 from pcs_racing.envs.batch import FREE, WEIGHTS, Rows, check_part, check_races, check_within
 from pcs_racing.game.players import Competitor, ask_moves, check_competitor, competitor
 from pcs_racing.game.rules import OUTSIDE, RaceGame

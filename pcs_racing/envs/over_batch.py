@@ -12,11 +12,11 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import (
     ConfigError,
     InputError,
     UnknownNameError,
+    check_choice,
     choices,
     unknown_argument,
 )

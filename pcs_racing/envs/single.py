@@ -11,8 +11,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from pcs_racing.base.checks import check_flag, check_seed, check_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_flag, check_seed, check_whole
 from pcs_racing.envs.batch import MAX_STEPS, generator_of
 from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import Batch, OverBatch

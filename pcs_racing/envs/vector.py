@@ -9,8 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import as_array, check_seed, check_whole, is_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, as_array, check_seed, check_whole, is_whole
 from pcs_racing.envs.batch import FREE, MAX_STEPS, check_part, check_within, generator_of
 from pcs_racing.envs.infos import rows_of, words
 from pcs_racing.envs.over_batch import Batch, OverBatch

@@ -15,8 +15,15 @@ import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.base.checks import check_choice, check_flag, check_number, check_seed, check_whole
-from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.errors import (
+    ConfigError,
+    InputError,
+    check_choice,
+    check_flag,
+    check_number,
+    check_seed,
+    check_whole,
+)
 from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.lines import Track, starting_poses
 from pcs_racing.f1tenth.maps import load_map

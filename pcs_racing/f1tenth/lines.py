@@ -9,8 +9,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_array, check_number
-from pcs_racing.base.errors import ConfigError, InputError, MapError
+from pcs_racing.base.errors import ConfigError, InputError, MapError, check_array, check_number
 from pcs_racing.f1tenth.maps import GymMap, framed, load_map
 from pcs_racing.track.frenet import KAPPA, PSI, SPEED
 from pcs_racing.track.map_files import CENTERLINE_COLUMNS, RACELINE_COLUMNS, parse_csv

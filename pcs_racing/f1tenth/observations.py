@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from pcs_racing.base.checks import check_names
-from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.errors import ConfigError, check_names
 from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.simulator import RANGE
 

@@ -7,9 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import all_finite, check_array, check_number, check_whole, did_you_mean
 from pcs_racing.base.compilation import compiled, first_call
-from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.errors import (
+    ConfigError,
+    InputError,
+    all_finite,
+    check_array,
+    check_number,
+    check_whole,
+    did_you_mean,
+)
 from pcs_racing.base.numba_parts import compiled_for
 from pcs_racing.base.typing import Floats
 from pcs_racing.car.lidar import Lidar

@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.base.checks import (
+from pcs_racing.base.errors import (
+    InputError,
+    UnknownNameError,
     check_array,
     check_facts,
     check_names,
     check_text,
     check_whole,
 )
-from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.planner import Planner, Policy

@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from pcs_racing.base.checks import check_names, check_text, check_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_names, check_text, check_whole
 from pcs_racing.game.moves import STAY
 from pcs_racing.race.config import check_epsilon
 

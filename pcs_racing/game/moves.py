@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import as_array, is_flag
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, as_array, is_flag
 from pcs_racing.base.typing import Indices
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.config import EPSILON, check_epsilon

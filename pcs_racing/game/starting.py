@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import as_array, check_whole, check_whole_array
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, as_array, check_whole, check_whole_array
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Planner, Policy

@@ -31,11 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save as save_tensors
 
-from pcs_racing.base.checks import is_number
 from pcs_racing.base.compilation import identified, inner_kernel, kernel
 from pcs_racing.base.dense import dense_forward, flat_layers, tensors_from_bytes
 from pcs_racing.base.elementary import hyperbolic_tangent
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, is_number
 from pcs_racing.planners import (
     candidate_rows as rows,
     candidates as _candidates,

@@ -21,8 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.base.checks import check_path
-from pcs_racing.base.errors import InputError, one_line
+from pcs_racing.base.errors import InputError, check_path, one_line
 from pcs_racing.planners import ros_nodes
 
 EPOCH = 1_700_000_000.0

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_number
-from pcs_racing.base.errors import InputError, UnknownNameError, choices
+from pcs_racing.base.errors import InputError, UnknownNameError, check_number, choices
 from pcs_racing.planners.calling import control_address, plan_address
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, held_command, leave_path
 

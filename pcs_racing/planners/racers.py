@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.checks import check_text
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import InputError, UnknownNameError, check_text
 from pcs_racing.planners.planner import Policy, PolicySet
 from pcs_racing.planners.shipped import declared, load_place
 

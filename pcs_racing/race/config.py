@@ -10,8 +10,7 @@ import numpy as np
 from annotated_types import Interval, MultipleOf
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_path, check_text, is_number
-from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.errors import ConfigError, InputError, check_path, check_text, is_number
 from pcs_racing.base.settings import Checked, Names, OneOf, Settings, Text, load_settings
 
 # When the parts of a race take their turn, in steps of the simulation:

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_whole
 from pcs_racing.base.compilation import first_call
 from pcs_racing.base.elementary import exponential
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_whole
 from pcs_racing.base.numba_parts import config as numba_config
 from pcs_racing.car.lanes import LANES
 from pcs_racing.car.vehicle import SPEED_DELAY, SPEED_NOISE, STEER_DELAY, VehicleParams

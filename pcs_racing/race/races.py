@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_seed
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_seed
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import (
     COMMAND_PERIOD,

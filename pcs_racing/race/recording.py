@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_whole
 from pcs_racing.base.elementary import lengths
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_whole
 from pcs_racing.base.seeds import race_seed
 from pcs_racing.base.typing import Floats
 from pcs_racing.car.vehicle import F1TENTH, V, load_vehicles

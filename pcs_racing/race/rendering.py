@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Union
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from pcs_racing.base.checks import check_choice, check_whole
-from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.errors import InputError, check_choice, check_whole, require
 from pcs_racing.base.packing import join_segments
 from pcs_racing.race.painting import (
     COLOURS,

@@ -15,8 +15,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from pcs_racing.base.checks import check_path, is_number
-from pcs_racing.base.errors import MapError, say
+from pcs_racing.base.errors import MapError, check_path, is_number, say
 from pcs_racing.base.files import parse_json, write_together
 from pcs_racing.base.typing import Floats
 from pcs_racing.track.grid import at_cell

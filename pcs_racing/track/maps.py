@@ -20,8 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pcs_racing.base import files as _files
-from pcs_racing.base.checks import check_number, check_path
-from pcs_racing.base.errors import MapError, UnknownNameError, choices
+from pcs_racing.base.errors import MapError, UnknownNameError, check_number, check_path, choices
 from pcs_racing.base.files import MAX_YAML, read_limited, shipped_folder
 
 ROS_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.base.checks import check_array
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_array
 from pcs_racing.base.typing import Floats
 from pcs_racing.track.frenet import corners_along
 from pcs_racing.track.moving import BOX, MOTION, make_lanes

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, is_dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_text, check_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_text, check_whole
 from pcs_racing.game.identity import check_same_game
 from pcs_racing.game.players import Competitor, Turn, draw
 from pcs_racing.game.rules import RaceGame

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_array, check_number
 from pcs_racing.base.compilation import first_call, kernel
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_array, check_number
 from pcs_racing.car.lidar_kernel import scan_into
 from pcs_racing.car.vehicle import (
     F1TENTH,

@@ -27,8 +27,7 @@ from pathlib import Path
 from pickle import dumps, loads
 from typing import Any, TypeVar, cast
 
-from pcs_racing.base.checks import check_whole
-from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.errors import InputError, check_whole, require
 from pcs_racing.planners.own_files import files_run, run_file
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.base.folders import JobError

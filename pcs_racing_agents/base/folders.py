@@ -14,8 +14,7 @@ import numpy as np
 import yaml
 from filelock import FileLock, Timeout
 
-from pcs_racing.base.checks import check_path
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_path
 from pcs_racing.base.files import plain_yaml, read_limited, write_atomically
 
 FORMAT = "pcs-racing job"

@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_array
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_array
 from pcs_racing.base.typing import Floats
 
 Ints = NDArray[np.intp]

@@ -25,8 +25,7 @@ from inspect import Parameter, getdoc, signature
 from types import ModuleType, NoneType, UnionType
 from typing import Annotated, Any, NoReturn, get_args, get_origin, get_type_hints
 
-from pcs_racing.base.checks import did_you_mean
-from pcs_racing.base.errors import choices
+from pcs_racing.base.errors import choices, did_you_mean
 from pcs_racing.base.settings import Settings, option_words, options_of
 
 Parsers = argparse._SubParsersAction  # result type of ``add_subparsers``, without a public name

@@ -9,8 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
-from pcs_racing.base.checks import check_path
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_path
 from pcs_racing.race.config import KNOWN_RULES, PAPER, Rules, load_rules
 from pcs_racing_agents.cli.commands import Option
 

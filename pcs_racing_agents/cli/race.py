@@ -6,8 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from pcs_racing.base.checks import check_seed, check_whole
-from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.errors import InputError, check_seed, check_whole, require
 from pcs_racing.base.seeds import race_seed
 from pcs_racing.car.vehicle import VehicleParams, load_vehicles
 from pcs_racing.planners.planner import Policy

@@ -8,8 +8,7 @@ from http.server import ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pcs_racing.base.checks import check_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_whole
 from pcs_racing_agents.base.jobs import show_progress
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import RACED_CODE, Terminated, can_draw, output_file

@@ -12,7 +12,7 @@ from typing import NamedTuple, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_whole
+from pcs_racing.base.errors import check_whole
 from pcs_racing.game.players import Competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import PolicySet

@@ -19,14 +19,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.artifacts import ManifestFormat
-from pcs_racing.base.checks import (
+from pcs_racing.base.errors import (
+    InputError,
     check_number,
     check_path,
     check_text,
     check_whole,
     check_whole_array,
+    require,
+    say_once,
 )
-from pcs_racing.base.errors import InputError, require, say_once
 from pcs_racing.envs.batch import WEIGHTS
 from pcs_racing.envs.infos import Result
 from pcs_racing.planners.planner import Policy

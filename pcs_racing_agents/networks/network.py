@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_array, check_facts, check_flag, check_text
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_array, check_facts, check_flag, check_text
 from pcs_racing.base.typing import Singles
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing.game.rules import RaceGame

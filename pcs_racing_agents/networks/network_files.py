@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.artifacts import ArtifactFormat
-from pcs_racing.base.checks import check_array, check_facts, check_names, check_text
 from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_array, check_facts, check_names, check_text
 from pcs_racing.base.files import shipped_folder, write_together
 from pcs_racing.game.identity import (
     GameIdentity,

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 from annotated_types import Interval, MinLen
 
-from pcs_racing.base.checks import check_choice, check_path
-from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.errors import ConfigError, check_choice, check_path
 from pcs_racing.base.settings import (
     DIFFERENT,
     Names,

@@ -7,7 +7,7 @@ spanned by the items' features: the more similar two items are, the less often t
 
 import numpy as np
 
-from pcs_racing.base.checks import check_choice, check_whole
+from pcs_racing.base.errors import check_choice, check_whole
 from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.archive import PolicyArchive
 

@@ -30,8 +30,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.base.checks import check_array, check_number, check_seed, check_whole
-from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.errors import (
+    InputError,
+    check_array,
+    check_number,
+    check_seed,
+    check_whole,
+    require,
+)
 from pcs_racing.base.typing import Floats
 from pcs_racing_agents.policies.pareto import (
     Scale,

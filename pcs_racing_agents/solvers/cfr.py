@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.checks import check_choice, check_whole
 from pcs_racing.base.compilation import first_call
+from pcs_racing.base.errors import check_choice, check_whole
 from pcs_racing_agents.solvers.cfr_kernels import (
     Layout,
     initial_state,

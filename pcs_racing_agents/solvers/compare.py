@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.checks import check_choice
+from pcs_racing.base.errors import check_choice
 from pcs_racing_agents.solvers.cfr import VARIANTS, cfr
 from pcs_racing_agents.solvers.evaluation import Profile, exploitability, reach_probabilities
 from pcs_racing_agents.solvers.exact import ExactResult, solve_exact

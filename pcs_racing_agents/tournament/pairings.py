@@ -26,8 +26,7 @@ from typing import Any, NamedTuple, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_whole, check_whole_array, is_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_whole, check_whole_array, is_whole
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.game.rules import RaceGame

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_number, check_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_number, check_whole
 from pcs_racing.base.typing import Floats
 from pcs_racing_agents.tournament.races import RaceTable
 

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_seed, check_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_seed, check_whole
 from pcs_racing.base.typing import Indices
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.reward import reward

@@ -10,8 +10,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_whole, check_whole_array, is_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_whole, check_whole_array, is_whole
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.identity import GameIdentity

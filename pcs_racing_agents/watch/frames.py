@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from pcs_racing.base.checks import check_number
-from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.errors import InputError, check_number, require
 from pcs_racing.base.files import write_atomically
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.race.rendering import Renderer

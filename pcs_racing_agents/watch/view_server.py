@@ -11,8 +11,7 @@ from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NamedTuple
 
-from pcs_racing.base.checks import check_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, check_whole
 from pcs_racing.race.replay import safe_json
 
 MAX_PATH = 100

@@ -25,7 +25,7 @@ from pcs_racing import (
     record_race,
     save_replay,
 )
-from pcs_racing.base.checks import check_number, check_seed
+from pcs_racing.base.errors import check_number, check_seed
 from pcs_racing.base.files import plain_yaml
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.duel import HeadToHeadEnv

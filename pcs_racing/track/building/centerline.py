@@ -5,9 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pcs_racing.base.checks import is_number
 from pcs_racing.base.elementary import arctangent2, headings, lengths, sine_cosine
-from pcs_racing.base.errors import MapError, require
+from pcs_racing.base.errors import MapError, is_number, require
 from pcs_racing.track.building.causes import no_loop
 from pcs_racing.track.building.clearance import checked_grid
 from pcs_racing.track.building.curves import MAX_LENGTH, curve_length, resample, signed_area, smooth

@@ -6,9 +6,8 @@ Row 0 of a grid is its bottom.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_array, check_number
 from pcs_racing.base.compilation import compiled
-from pcs_racing.base.errors import MapError
+from pcs_racing.base.errors import MapError, check_array, check_number
 from pcs_racing.track.frenet import interpolate
 
 CLEARANCE = 0.305

@@ -4,10 +4,9 @@ import math
 
 import numpy as np
 
-from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import headings, lengths
-from pcs_racing.base.errors import MapError, require
+from pcs_racing.base.errors import MapError, check_number, require
 from pcs_racing.track.building.centerline import around_islands
 from pcs_racing.track.building.clearance import (
     CLEARANCE,

@@ -8,10 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.base.checks import check_choice, check_number, check_seed
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
-from pcs_racing.base.errors import InputError, MapError, UnknownNameError, require
+from pcs_racing.base.errors import (
+    InputError,
+    MapError,
+    UnknownNameError,
+    check_choice,
+    check_number,
+    check_seed,
+    require,
+)
 from pcs_racing.track.building.build import check_centerline, check_direction
 from pcs_racing.track.building.centerline import centerline_from_grid, directed, straightest
 from pcs_racing.track.building.curves import (
