@@ -47,7 +47,15 @@ from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE
 from pcs_racing.race.conditions import AS_THE_SETUP, vehicle_rows
 from pcs_racing.race.config import CONTEST
 from pcs_racing.race.driving import largest_scratch, pointers_of
-from pcs_racing.race.kernel import WORK_SIZE, Crew, Parts, Races, Scratch, advance_races, fill_view
+from pcs_racing.race.kernel import (
+    WORK_SIZE,
+    Crew,
+    Races,
+    Scratch,
+    advance_races,
+    fill_view,
+    parts_for,
+)
 from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.state import take as take_races
 from pcs_racing.track import frenet as _frenet
@@ -208,7 +216,7 @@ def _share(kind, draw):
 
 @compiled
 def play(
-    track, state, pool, thetas, span, theta, who, draws, key, drawn, vehicles, drivers, settings,
+    track, state, pool, thetas, span, theta, who, draws, key, drawn, vehicles, crew, settings,
     options, family, slow, kinds, shares, teacher, lesson, lessons, ways, taught, actions, seen,
     rewards, ended, tally, size, first,
 ):  # fmt: skip
@@ -234,7 +242,7 @@ def play(
                     state.path[race, car],
                 )
         before[:] = state.progress
-        batch, crew = Races(state, theta, vehicles), Crew(drivers, Parts())
+        batch = Races(state, theta, vehicles)
         advance_races(track, batch, settings, crew, STEP, 0, races, Scratch(scratch, work))
         for race in range(races):
             over = _reward(state, race, settings.end_tick, before[race], options, rewards[race])
@@ -320,9 +328,10 @@ class Group:
             speed_high=self.slow * setup.settings.speed_high,
         )
         # The teacher is as fast as in a race at full speed; its settings are in its view.
-        self.drivers = pointers_of(AS_THE_SETUP.shares(setup.planners, self.races), self.races)
+        drivers = pointers_of(AS_THE_SETUP.shares(setup.planners, self.races), self.races)
         self.vehicles = vehicle_rows(setup.vehicles, self.races)
         self.drawn = drawn_pairs(ranges, seed)
+        self.crew = Crew(drivers, parts_for(self.settings, self.drawn, False))
         self.size = max(SCRATCH, largest_scratch((other, teacher.planner)), EXTRA)
         rng = np.random.default_rng(seed)
         self.key = np.uint64(rng.integers(2**63))
@@ -392,7 +401,7 @@ class Group:
         lessons = self.lessons if teach else self.lessons[:, :, :0].copy()
         play(
             self.track, self.state, self.pool, self.thetas, self.span, self.theta, self.who,
-            self.draws, self.key, self.drawn, self.vehicles, self.drivers, self.settings, options,
+            self.draws, self.key, self.drawn, self.vehicles, self.crew, self.settings, options,
             self.number, self.slow, self.kinds, self.shares, self.teacher_at, self.lesson, lessons,
             self.ways, taught.reshape(*two, ACTIONS), actions.reshape(*two, ACTIONS),
             seen.reshape(*two, WIDE), rewards.reshape(two), self.ended, self.tally, self.size,

@@ -51,7 +51,15 @@ from pcs_racing.race.calibrating import hazard_scan
 from pcs_racing.race.conditions import AS_THE_SETUP, vehicle_rows
 from pcs_racing.race.config import CONTEST, Rules
 from pcs_racing.race.driving import pointers_of
-from pcs_racing.race.kernel import WORK_SIZE, Crew, Parts, Races, Scratch, advance_races, fill_view
+from pcs_racing.race.kernel import (
+    WORK_SIZE,
+    Crew,
+    Races,
+    Scratch,
+    advance_races,
+    fill_view,
+    parts_for,
+)
 from pcs_racing.race.races import RaceSetup, start_lines
 from pcs_racing.race.start_grid import Starts, place_on_grid
 from pcs_racing.race.state import RaceState, take as take_races
@@ -133,20 +141,26 @@ _, MOVES_END, PROFILES_END, LAID = offsets(
 )
 
 
+@inner_kernel(forceinline=True)
+def _copy(numbers, out):
+    for k in range(len(out)):
+        out[k] = numbers[k]
+
+
 @inner_kernel
 def put_away(scratch, laid):
     """Copy all that `take` needs from a scratch into ``laid``, shape (LAID,)."""
-    laid[:MOVES_END] = scratch[:MOVES_END]
-    laid[MOVES_END:PROFILES_END] = scratch[rows.SQUARE : rows.NOW_S]
-    laid[PROFILES_END:] = scratch[rows.OPP_S : SCRATCH]
+    _copy(scratch, laid[:MOVES_END])
+    _copy(scratch[rows.SQUARE :], laid[MOVES_END:PROFILES_END])
+    _copy(scratch[rows.OPP_S :], laid[PROFILES_END:LAID])
 
 
 @inner_kernel
 def put_back(laid, scratch):
     """Copy ``laid`` of `put_away` back into a scratch."""
-    scratch[:MOVES_END] = laid[:MOVES_END]
-    scratch[rows.SQUARE : rows.NOW_S] = laid[MOVES_END:PROFILES_END]
-    scratch[rows.OPP_S : SCRATCH] = laid[PROFILES_END:]
+    _copy(laid, scratch[:MOVES_END])
+    _copy(laid[MOVES_END:], scratch[rows.SQUARE : rows.NOW_S])
+    _copy(laid[PROFILES_END:], scratch[rows.OPP_S : SCRATCH])
 
 
 @inner_kernel(forceinline=True)
@@ -272,7 +286,7 @@ def _begin(
 @compiled
 def play(
     track, state, pool, thetas, span, frozen, theta, styles, who, draws, key, drawn, vehicles,
-    drivers, settings, lattice, options, family, laid, choices, seen, rewards, ended, tally,
+    crew, settings, lattice, options, family, laid, choices, seen, rewards, ended, tally,
 ):  # fmt: skip
     """Take the choices, drive for 0.1 s, reward, start ended races again, and describe.
 
@@ -298,7 +312,7 @@ def play(
                     state.path[race, car],
                 )
         before[:] = state.progress
-        batch, crew = Races(state, theta, vehicles), Crew(drivers, Parts())
+        batch = Races(state, theta, vehicles)
         advance_races(track, batch, settings, crew, STEP, 0, races, Scratch(scratch, work))
         for race in range(races):
             over = _reward(
@@ -417,9 +431,10 @@ class Group:
         self.races = max(1, cars // self.learners)
         setup = RaceSetup(track, rules, (LEARNER, other), max_delays=ranges.max_delays)
         self.track, self.settings = track.arrays, setup.settings._replace(ittc_horizon=0.0)
-        self.drivers = pointers_of(AS_THE_SETUP.shares(setup.planners, self.races), self.races)
+        drivers = pointers_of(AS_THE_SETUP.shares(setup.planners, self.races), self.races)
         self.vehicles = vehicle_rows(setup.vehicles, self.races)
         self.drawn = drawn_pairs(ranges, seed)
+        self.crew = Crew(drivers, parts_for(self.settings, self.drawn, False))
         rng = np.random.default_rng(seed)
         self.key = np.uint64(rng.integers(2**63))
         self.pool = start_states(setup, circuit.lines, rng)
@@ -465,7 +480,7 @@ class Group:
         play(
             self.track, self.state, self.pool, self.thetas, self.span, self.family == "frozen",
             self.theta, self.styles, self.who, self.draws, self.key, self.drawn, self.vehicles,
-            self.drivers, self.settings, lattice, options, self.number, self.laid,
+            self.crew, self.settings, lattice, options, self.number, self.laid,
             choices.reshape(two), seen.reshape(*two, WIDE), rewards.reshape(two), self.ended,
             self.tally,
         )  # fmt: skip

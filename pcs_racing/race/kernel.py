@@ -276,7 +276,7 @@ def _remember_and_sense(track, state, vehicles, settings, race, car, view):
 
 @inner_kernel(forceinline=True)
 def _fill_exact(drivers, track, state, race, car, vehicles, view):
-    """Write the changing numbers of a view without errors; ``drivers`` has one item for each car.
+    """Write the changing numbers of a view without errors; ``drivers`` has an item for each car.
 
     The visible opponent is the other of two cars, else the nearest car.
     """
@@ -344,7 +344,7 @@ def _touch(track, state, vehicles, settings, race, car, touched):
 def fill_view(track, state, race, car, vehicles, settings, view):
     """Write the view of ``car`` (:data:`pcs_racing.planners.view.VIEW`) into ``view``."""
     _fill_grip(track, state, vehicles, settings, race, car, view)
-    _fill_exact(vehicles, track, state, race, car, vehicles, view)
+    _fill_exact(state.cars[race], track, state, race, car, vehicles, view)
     _sense(track, state, vehicles, settings, race, car, view)
     if track.moving.shape[0] > 0:
         _meet(track, state, vehicles, settings, race, car, view)
