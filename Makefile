@@ -14,7 +14,7 @@ help:
 	@echo "make install  the package for development, in $(VENV)"
 	@echo "make demo     a race to watch, then the paper's study in small: trees, networks, races, a report (about 2 minutes)"
 	@echo "make quick    style, types, and the tests of the rooms that you changed (FROM=origin/main: since that branch)"
-	@echo "make test     the tests; those of browsers and clusters where their rooms changed (since FROM)"
+	@echo "make test     the tests; those of browsers, clusters and trainers where their rooms changed (since FROM)"
 	@echo "make lint     style, format and types of the code"
 	@echo "make docs     the documentation's site, in out/docs; a warning is an error"
 	@echo "make release  sdist and wheel, in dist, built and checked"

@@ -183,6 +183,7 @@ def train_whole_and_in_parts(script, *size, rival, folder):
     return whole, parts
 
 
+@pytest.mark.training
 def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
     cars = tmp_path / "cars.yaml"
     cars.write_text("mu: [0.8, 1.1]\neach: {steer_delay: [0.0, 0.06]}\n")
@@ -194,6 +195,7 @@ def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
     assert json.loads(fields["training"]["randomize"]) == yaml.safe_load(cars.read_text())
 
 
+@pytest.mark.training
 def test_a_planner_by_lidar_is_trained_and_a_stopped_training_goes_on(tmp_path):
     # The first update only imitates, the second one does both.
     size = ("--checks", 0, "--warm", 3e-5, "--fade", 1e-3, "--teacher", "pure-pursuit")
