@@ -78,8 +78,14 @@ def unknown_argument(function: str, name: str, known: Iterable[str]) -> UnknownA
 def choices(name: str, known: Iterable[str]) -> str:
     """Return the end of an error message about an unknown name: the nearest and all known names."""
     names = list(known)
-    near = get_close_matches(str(name), names, n=1)
-    return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names)}"
+    near = nearest(str(name), names)
+    return f"{f'did you mean {near!r}? ' if near else ''}there are: {', '.join(names)}"
+
+
+def nearest(name: Any, known: Iterable[str]) -> str:
+    """Return the known name nearest to a name, or "" if none is near."""
+    close = get_close_matches(name, list(known), 1) if isinstance(name, str) else []
+    return close[0] if close else ""
 
 
 def say(line: str) -> None:
@@ -247,8 +253,8 @@ def check_choice(name: str, value: Any, choices: Iterable[str], error: Error = I
 
 def did_you_mean(name: Any, known: Iterable[str]) -> str:
     """Return the end of a message that suggests the nearest known name, if one is near."""
-    close = get_close_matches(name, list(known), 1) if isinstance(name, str) else []
-    return f" (did you mean {close[0]!r}?)" if close else ""
+    near = nearest(name, known)
+    return f" (did you mean {near!r}?)" if near else ""
 
 
 def check_names(name: str, values: Any, error: Error = InputError) -> tuple[str, ...]:

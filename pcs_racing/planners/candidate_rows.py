@@ -1,4 +1,4 @@
-"""Rows of the scratch in which the candidates of a plan are laid, predicted and weighed.
+"""Rows of the scratch for the candidates of a plan: their moves, predictions and costs.
 
 The numbers are offsets: ``scratch[MIN_AIR + g]`` is the least air of the move ``g``.
 """

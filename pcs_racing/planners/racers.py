@@ -9,7 +9,6 @@ No name runs code: a text such as ``"mine.py:Class"`` is refused unless the call
 as the command line does for its arguments.
 """
 
-import difflib
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.errors import InputError, UnknownNameError, check_text
+from pcs_racing.base.errors import InputError, UnknownNameError, check_text, choices
 from pcs_racing.planners.planner import Policy, PolicySet
 from pcs_racing.planners.shipped import declared, load_place
 
@@ -179,12 +178,9 @@ def _readers() -> Iterator[Reader]:
 
 
 def _unknown(text: str) -> UnknownNameError:
-    known = known_names()
-    near = difflib.get_close_matches(text.partition(":")[0], known, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
+    near = choices(text.partition(":")[0], known_names())
     return UnknownNameError(
-        f"{text!r} is no planner, agent, archive policy, file or folder; {hint}"
-        f"there are: {', '.join(known)}, always-MOVE"
+        f"{text!r} is no planner, agent, archive policy, file or folder; {near}, always-MOVE"
     )
 
 

@@ -20,7 +20,7 @@ from pcs_racing.track.track import Calibration, Track, calibration_from_values, 
 
 
 def known_rules(rules: Rules) -> Rules:
-    """Return the shipped rules whose calibration serves: those of the same name, else as noisy."""
+    """Return the shipped rules with the calibration for rules: of their name, else as noisy."""
     return KNOWN_RULES.get(rules.name) or (CONTEST if rules.steering_noise > 0.0 else PAPER)
 
 

@@ -51,7 +51,7 @@ def heading_of(orientation: Any) -> float:
     if not abs(math.hypot(x, y, z, w) - 1.0) <= 0.01:  # NaN, too
         raise MessageError(f"orientation {x:.3g}, {y:.3g}, {z:.3g}, {w:.3g} is no quaternion")
     if w * w + z * z - x * x - y * y < FLAT:
-        raise MessageError("the orientation is tilted; it must be that of a car on flat ground")
+        raise MessageError("the orientation is tilted; the car must be on flat ground")
     return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
