@@ -10,18 +10,13 @@ from importlib import import_module
 from typing import Any
 
 _PLACES = {
-    "env": (
-        "F110Env GenerationA GenerationB Integrator deep_update DynamicModel IntegratorType"
-        " LongitudinalActionEnum SteerActionEnum"
-    ),
+    "env": ("F110Env GenerationA GenerationB Integrator deep_update"),
     "simulator": (
         "Simulator RaceCar ScanSimulator2D pid pid_accl pid_steer vehicle_dynamics_ks"
         " vehicle_dynamics_st"
     ),
     "lines": "Track TrackSpec Raceline CubicSpline2D nearest_point_on_trajectory",
-    "rendering": "EnvRenderer RenderSpec TrackRenderer make_renderer",
-    "geometry": "get_vertices collision collision_multiple get_range ray_cast check_ttc_jit",
-    "observations": "observation_factory",
+    "rendering": "EnvRenderer RenderSpec TrackRenderer get_vertices",
 }
 NAMES = {name: module for module, names in _PLACES.items() for name in names.split()}
 

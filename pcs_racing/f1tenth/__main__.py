@@ -18,16 +18,15 @@ def main(given: list[str]) -> int:
             file=sys.stderr,
         )
         return 2
-    from pcs_racing.f1tenth.copies import use_copy
+    from pcs_racing.f1tenth.copies import replace_copy
     from pcs_racing.f1tenth.stand_ins import install
 
     install()
     program = os.path.abspath(given[0])
-    os.environ.pop("PCS_RACING_GYM_COPY", None)  # left by another program
     sys.argv[:] = [given[0], *given[1:]]
     sys.path.insert(0, os.path.dirname(program))
     try:
-        use_copy(Path(program))
+        replace_copy(Path(program))
         runpy.run_path(program, run_name="__main__")
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)

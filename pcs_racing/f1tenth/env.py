@@ -27,7 +27,7 @@ from pcs_racing.base.errors import (
 from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.lines import Track, starting_poses
 from pcs_racing.f1tenth.maps import load_map
-from pcs_racing.f1tenth.observations import Observation
+from pcs_racing.f1tenth.observations import observation
 from pcs_racing.f1tenth.rendering import EnvRenderer, RenderSpec, TrackRenderer
 from pcs_racing.f1tenth.simulator import (
     BEAMS,
@@ -58,7 +58,7 @@ DEFAULTS_A: dict[str, Any] = {
     "lidar_dist": 0.0,
     "integrator": Integrator["RK4"],
 }
-"""Keywords of generation A; a program's own copy of the gym may have other defaults."""
+"""Keywords of generation A."""
 DEFAULTS_B: dict[str, Any] = {
     **_BOTH,
     "map": "Spielberg",
@@ -89,11 +89,6 @@ _INSTEAD = {
 }
 """Replacements for missing attributes of the gym's environments."""
 _MODES = ["human", "human_fast", "rgb_array"]
-
-DynamicModel = Enum("DynamicModel", "KS ST")
-IntegratorType = Enum("IntegratorType", "RK4 Euler")
-LongitudinalActionEnum = Enum("LongitudinalActionEnum", "Accl Speed")
-SteerActionEnum = Enum("SteerActionEnum", "Steering_Angle Steering_Speed")
 
 
 def deep_update(mapping: dict[Any, Any], *updates: Mapping[Any, Any]) -> dict[Any, Any]:
@@ -377,11 +372,7 @@ class GenerationB(F110Env):
         self.update_map(self.map)
         self.agent_ids = [f"agent_{i}" for i in range(self.num_agents)]
         self.observation_config = values["observation_config"]
-        self.observation_type = Observation(self, self.observation_config)
-        self.observation_space, self._observe = (
-            self.observation_type.space(),
-            self.observation_type._observe,
-        )
+        self.observation_space, self._observe = observation(self, self.observation_config)
         if render_mode is not None:
             check_choice("render_mode", render_mode, _MODES, ConfigError)
         self.render_mode, self.render_spec = render_mode, RenderSpec()

@@ -26,8 +26,8 @@ from pcs_racing.track.maps import (
 from pcs_racing.track.track import Track
 
 FREE_ABOVE = 128  # grey level
-own_folders: list[Path] = []
-"""Map folders of a program's own copy of the gym."""
+OWN_MAPS = "PCS_RACING_GYM_MAPS"
+"""Environment variable with the map folder of a program's own copy of the gym."""
 
 
 class GymMap(NamedTuple):
@@ -51,7 +51,7 @@ def find_yaml(name: str | os.PathLike[str]) -> Path:
     text = os.fspath(name)
     places = [
         Path(folder, f"{text}{end}")
-        for folder in (Path(), *own_folders)
+        for folder in (Path(), Path(os.environ.get(OWN_MAPS, "")))
         for end in (".yaml", "_map.yaml")
     ]
     for path in (Path(text), *places):

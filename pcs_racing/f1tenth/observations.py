@@ -67,26 +67,6 @@ def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
     )
 
 
-class Observation:
-    """Observations of one type, for programs that request them directly."""
-
-    def __init__(self, env: Any, config: Mapping[str, Any]) -> None:
-        self.env, (self._space, self._observe) = env, observation(env, config)
-
-    def space(self) -> spaces.Space[Any]:
-        """Return the space of the observations."""
-        return self._space
-
-    def observe(self) -> dict[str, Any]:
-        """Return the current observation."""
-        return self._observe(None)
-
-
-def observation_factory(env: Any, type: str | None, **named: Any) -> Observation:  # noqa: A002
-    """Return the observations of an ``observation_config`` with these keys."""
-    return Observation(env, {"type": type, **named})
-
-
 def _box(low: float, high: float, *shape: int) -> spaces.Space[Any]:
     return spaces.Box(low, high, shape, np.float32)
 

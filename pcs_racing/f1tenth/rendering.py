@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from pcs_racing.base.compilation import compiled
 from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.f1tenth.geometry import get_vertices
 from pcs_racing.f1tenth.maps import GymMap
 from pcs_racing.race.painting import COLOURS, FINER, Camera, paint_car
 from pcs_racing.race.rendering import Window
@@ -24,6 +24,22 @@ HALF_SIZE = np.array([0.5 * F1TENTH.length, 0.5 * F1TENTH.width])
 
 Frame = NDArray[np.uint8]
 Colour = tuple[int, ...]
+
+
+@compiled
+def get_vertices(pose, length, width):
+    """Return the corners of a car at x, y, heading, shape (4, 2).
+
+    The order is rear left, rear right, front right, front left.
+    """
+    sine, cosine = np.sin(pose[2]), np.cos(pose[2])
+    corners = np.empty((4, 2))
+    for i in range(4):
+        along = 0.5 * length if i >= 2 else -0.5 * length
+        across = 0.5 * width if i % 3 == 0 else -0.5 * width
+        corners[i, 0] = pose[0] + along * cosine - across * sine
+        corners[i, 1] = pose[1] + along * sine + across * cosine
+    return corners
 
 
 def has_display() -> bool:
@@ -111,24 +127,6 @@ class TrackRenderer(_Painter):
     def __init__(self, loaded: GymMap, spec: RenderSpec, *, window: bool, fps: float) -> None:
         super().__init__(loaded, spec.window_size, spec.window_size, window, fps)
         self.render_spec, self._shown = spec, window
-        self._callbacks, self._state = list[Callable[[Any], None]](), dict[str, Any]()
-
-    def add_renderer_callback(self, callback_fn: Callable[[Any], None]) -> None:
-        """Add a function to call with this renderer in :meth:`render`."""
-        self._callbacks.append(callback_fn)
-
-    def update(self, state: dict[str, Any]) -> None:
-        """Store the ``render_obs`` of an environment."""
-        self._state = state
-
-    def render(self) -> Frame | None:
-        """Draw the cars of :meth:`update`, and return the frame unless it is shown."""
-        x, y, theta = (np.asarray(self._state[f"poses_{name}"]) for name in ("x", "y", "theta"))
-        still = 0.0 * x
-        states = np.stack(
-            [x, y, self._state.get("steering_angles", still), still, theta, still, still], axis=1
-        )
-        return self.draw(states, float(self._state.get("sim_time", 0.0)), self._callbacks)
 
     def draw(
         self, states: NDArray[np.float64], now: float, callbacks: list[Callable[[Any], None]]
@@ -168,19 +166,6 @@ class TrackRenderer(_Painter):
     ) -> None:
         """Draw a line through points and back to the first."""
         self.render_lines(np.concatenate([points, np.asarray(points)[:1]]), color, size)
-
-
-def make_renderer(
-    params: Any, track: Any, agent_ids: Any, render_mode: str | None = None, render_fps: float = 100
-) -> tuple[TrackRenderer | None, RenderSpec]:
-    """Return a renderer of a track, or None without a mode, and its settings."""
-    spec, window = RenderSpec(), render_mode != "rgb_array"
-    made = (
-        TrackRenderer(track.loaded, spec, window=window, fps=render_fps)
-        if render_mode is not None
-        else None
-    )
-    return made, spec
 
 
 class Drawing(SimpleNamespace):

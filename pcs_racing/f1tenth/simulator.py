@@ -22,7 +22,6 @@ from pcs_racing.base.typing import Floats
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.lidar_kernel import WORK_SHAPE
 from pcs_racing.f1tenth import kernel as k
-from pcs_racing.f1tenth.geometry import check_ttc_jit, collision_multiple, get_vertices, ray_cast
 from pcs_racing.f1tenth.kernel import (
     KS,
     OLD_ST,
@@ -226,8 +225,7 @@ class RaceCar:
             simulator.lidar.fov,
             simulator.lidar.angles,
         )
-        self.cosines, self.seed = np.cos(self.scan_angles), simulator.seed
-        self.is_ego = index == simulator.setup.ego
+        self.seed, self.is_ego = simulator.seed, index == simulator.setup.ego
 
     ttc_thresh, steer_buffer_size = k.STOP_TIME, 2
     accel = steer_angle_vel = 0.0  # as in the gym: its controllers do not store their output
@@ -266,25 +264,6 @@ class RaceCar:
         row[: k.CONTACT] = 0.0
         row[[k.X, k.Y, k.PSI]] = row[k.AT_X : k.AT_PSI + 1] = at
         row[k.WALL] = 0.0
-
-    def ray_cast_agents(self, scan: Floats) -> Floats:
-        """Shorten the ranges of a scan, in place, by the other cars."""
-        for pose in self.opp_poses:
-            ray_cast(
-                self.state[[0, 1, 4]], scan, self.scan_angles, get_vertices(pose, *self._size())
-            )
-        return scan
-
-    def check_ttc(self, current_scan: Floats) -> bool:
-        """Return whether a scan shows a wall hit, and stop the car if so."""
-        ahead = self.scan_angles, self.cosines, self.side_distances, self.ttc_thresh
-        hit = bool(check_ttc_jit(current_scan, self.state[3], *ahead))
-        self.state[3:] *= not hit
-        self._simulator.cars[self._index, k.WALL] = hit
-        return hit
-
-    def _size(self) -> tuple[float, float]:
-        return self.params["length"], self.params["width"]
 
     @property
     def state(self) -> Floats:
@@ -385,11 +364,6 @@ class Simulator:
         for car in self.agents if index < 0 else [self.agents[index]]:
             car.params = merged_params(car.params, params)
         self._build()
-
-    def check_collision(self) -> None:
-        """Find contacts of the cars now, and store them in ``collisions`` and ``collision_idx``."""
-        bodies = [get_vertices(car.state[[0, 1, 4]], *car._size()) for car in self.agents]
-        self.cars[:, k.CRASHED], self.cars[:, k.CONTACT] = collision_multiple(np.stack(bodies))
 
     def _build(self) -> None:
         rows = np.array([[car.params[name] for name in DEFAULT_PARAMS] for car in self.agents])

@@ -335,7 +335,6 @@ NAMELESS = {
     "parse_waypoints",  # numbers alone
     "unpack",
     # the text of a copy of the gym next to a running program: literals alone
-    "read_defaults",
     # parts of the settings of a study
     "_game",
     "_section",
