@@ -82,12 +82,6 @@ _FACTS = {
     "start_ys": k.START_Y,
     "start_thetas": k.START_PSI,
 }
-_INSTEAD = {
-    "action_type": "env.config['control_input']",
-    "poses": "env.sim.agent_poses",
-    "scan": "env.sim.agent_scans",
-}
-"""Replacements for missing attributes of the gym's environments."""
 _MODES = ["human", "human_fast", "rgb_array"]
 
 
@@ -133,7 +127,6 @@ class F110Env(gymnasium.Env[Any, Any]):
     render_callbacks: list[Callback]
     current_obs: Any = None  # class attribute, read by programs of generation A
     observation_space: Any = None  # None for generation A, as in gym
-    near_start, num_toggles, start_thresh = True, 0, 0.5  # constant in the gym
 
     def __new__(cls, *args: Any, **named: Any) -> Self:
         """Choose the generation by the arguments."""
@@ -166,7 +159,7 @@ class F110Env(gymnasium.Env[Any, Any]):
             check_flag("faithful", faithful, ConfigError),
             check_seed(values["seed"]),
         )
-        self.params, self._control = merged_params(DEFAULT_PARAMS, values["params"]), control
+        self.params = merged_params(DEFAULT_PARAMS, values["params"])
         integrator, inputs = (
             k.EULER if euler and self.faithful else k.RK4,
             (control[0] == "accl", control[1][-1] == "d"),
@@ -184,11 +177,7 @@ class F110Env(gymnasium.Env[Any, Any]):
         beams = check_whole("num_beams", values["num_beams"], 2, 100_000, ConfigError)
         fov = float(check_number("fov", values["fov"], 1e-3, 2.0 * np.pi, error=ConfigError))
         self.sim = Simulator(self.params, self.num_agents, self.seed, setup, beams, fov)
-        self.sim.integrator = self.integrator
-        self._find_action_space()
-
-    def _find_action_space(self) -> None:
-        along, steering = self._control
+        along, steering = control
         most, low, high = self.params["a_max"], *_BOUNDS[steering]
         rows = [[self.params[low], -most], [self.params[high], most]]
         if along == "speed":
@@ -214,22 +203,8 @@ class F110Env(gymnasium.Env[Any, Any]):
     def __getattr__(self, name: str) -> Any:
         """Return a quantity of all cars under its name in the gym, shape (N,), or the time."""
         if "sim" not in self.__dict__ or name not in (*_FACTS, "current_time"):
-            hint = f"; this is {_INSTEAD[name]}" if name in _INSTEAD else ""
-            raise AttributeError(
-                f"{type(self).__name__!r} object has no attribute {name!r} here{hint}"
-            )
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r} here")
         return self.sim.cars[:, _FACTS[name]] if name in _FACTS else self.sim.time
-
-    near_starts = property(lambda self: self.sim.cars[:, k.AWAY] == 0.0)  #: Cars at their start.
-
-    @property
-    def start_rot(self) -> Any:
-        """Rotation into the frame of the ego's start, shape (2, 2)."""
-        sine, cosine = (
-            np.sin(-self.start_thetas[self.ego_idx]),
-            np.cos(-self.start_thetas[self.ego_idx]),
-        )
-        return np.array([[cosine, -sine], [sine, cosine]])
 
     @property
     def render_obs(self) -> dict[str, Any] | None:
@@ -354,9 +329,15 @@ class GenerationB(F110Env):
         **named: Any,
     ) -> None:
         warn_of_unknown("f1tenth-v0", named, ["config", "render_mode", "faithful"])
-        self.config = self.default_config()
-        self._merge(config)
-        values = self.config
+        if config is not None and not isinstance(config, Mapping):
+            raise ConfigError(
+                f"config is of type {type(config).__name__}; give a dictionary such as"
+                " {'num_agents': 2} (EnvConfig belongs to the development line of the gym, which"
+                " is not served)"
+            )
+        warn_of_unknown("config", config or {}, DEFAULTS_B)
+        merged_params(DEFAULT_PARAMS, (config or {}).get("params", {}))
+        self.config = values = deep_update(self.default_config(), config or {})
         if values["model"] not in ("st", "ks"):
             raise ConfigError(
                 f"model is {values['model']!r:.200}; there are 'st' (dynamic) and 'ks' (kinematic),"
@@ -383,24 +364,6 @@ class GenerationB(F110Env):
     def default_config(cls) -> dict[str, Any]:
         """Return the default configuration."""
         return deepcopy(DEFAULTS_B)
-
-    def _merge(self, config: Any) -> None:
-        if config is not None and not isinstance(config, Mapping):
-            raise ConfigError(
-                f"config is of type {type(config).__name__}; give a dictionary such as"
-                " {'num_agents': 2} (EnvConfig belongs to the development line of the gym, which"
-                " is not served)"
-            )
-        warn_of_unknown("config", config or {}, DEFAULTS_B)
-        merged_params(DEFAULT_PARAMS, (config or {}).get("params", {}))
-        self.config = deep_update(self.config, config or {})
-
-    def configure(self, config: Any) -> None:
-        """Change the configuration of an environment; cars get their parameters at once."""
-        self._merge(config)
-        self.sim.update_params(self.config["params"])
-        self.params = self.sim.params
-        self._find_action_space()
 
     def update_map(self, map_name: Any) -> None:
         """Switch to another map: its name, its path, or a :class:`Track`."""

@@ -72,8 +72,6 @@ class CubicSpline2D:
         _, distance, share, i = nearest_point_on_trajectory((x, y), self.points)
         return float(self.s[i] + share * (self.s[i + 1] - self.s[i])), float(distance)
 
-    calc_arclength_inaccurate = calc_arclength
-
 
 class Raceline:
     """Line to follow.

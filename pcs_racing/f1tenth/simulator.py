@@ -139,17 +139,8 @@ class ScanSimulator2D:
         self._some_track = load_track(list_tracks()[0])
         self._lidar = Lidar(self._some_track, num_beams, fov, max_range)
         self._map: GymMap | None = None
-        self.num_beams, self.fov, self.max_range, self.eps, self.theta_dis = (
-            num_beams,
-            fov,
-            max_range,
-            eps,
-            theta_dis,
-        )
+        self.num_beams, self.fov, self.max_range = num_beams, fov, max_range
         self.angle_increment = self.get_increment()
-        self.theta_index_increment = theta_dis * self.angle_increment / (2.0 * np.pi)
-        turn = np.linspace(0.0, 2.0 * np.pi, theta_dis)
-        self.sines, self.cosines = np.sin(turn), np.cos(turn)
 
     def __getattr__(self, name: str) -> Any:
         """Return a property of the map under its name in the gym; None without a map."""
@@ -225,14 +216,8 @@ class RaceCar:
             simulator.lidar.fov,
             simulator.lidar.angles,
         )
-        self.seed, self.is_ego = simulator.seed, index == simulator.setup.ego
+        self.is_ego = index == simulator.setup.ego
 
-    ttc_thresh, steer_buffer_size = k.STOP_TIME, 2
-    accel = steer_angle_vel = 0.0  # as in the gym: its controllers do not store their output
-    time_step = property(lambda self: self._simulator.setup.dt)
-    integrator = property(lambda self: self._simulator.integrator)
-    side_distances = property(lambda self: self._simulator._world.sides)
-    scan_rng = property(lambda self: self._simulator.rng)
     opp_poses = property(lambda self: np.delete(self._simulator.agent_poses, self._index, axis=0))
     scan_simulator = property(lambda self: self._simulator.scan_simulator)
 
@@ -240,12 +225,6 @@ class RaceCar:
         """Refuse parts of a step: this simulator steps all cars at once."""
         hint = ": env.sim.step(actions) drives all cars" if name.startswith("update_") else ""
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r} here{hint}")
-
-    @property
-    def steer_buffer(self) -> Floats:
-        """Steering commands without effect so far, the newest first; shape (0,) to (2,)."""
-        row = self._simulator.cars[self._index]
-        return row[[k.SECOND, k.FIRST]][: self._simulator.steps]
 
     def update_params(self, params: Any) -> None:
         """Change parameters of this car."""
@@ -334,10 +313,6 @@ class Simulator:
         self.rng, self._noise, self.steps = np.random.default_rng(seed), SameNoise(seed, beams), 0
         self.time, self.started = 0.0, False  # s
 
-    time_step = property(lambda self: self.setup.dt)
-    ego_idx = property(lambda self: self.setup.ego)
-    model = property(lambda self: "ks" if self.setup.model == k.KS else "st")
-    integrator: Any = None  #: Integrator given to the environment.
     states = property(lambda self: self.cars[:, :7])
     agent_poses = property(lambda self: self.cars[:, k.AT_X : k.AT_PSI + 1])
     agent_steerings = property(lambda self: self.cars[:, 2])
@@ -406,7 +381,7 @@ class Simulator:
     def observed(self) -> dict[str, Any]:
         """Return the observation of generation A, without laps."""
         seen = {
-            "ego_idx": self.ego_idx,
+            "ego_idx": self.setup.ego,
             "scans": list(self.agent_scans),
             "linear_vels_y": [0.0] * self.num_agents,
         }

@@ -73,9 +73,8 @@ class _Drive:
                 f"{self.name} has no driver: a class with a method {' or '.join(METHODS)}, or a ROS"
                 " node"
             )
-        # By the number in the memory of a car:
-        self._states: dict[float, list[Any]] = {}  #: States of the driver's generators.
-        self._made: dict[float, Any] = {}  #: Drivers, from their first calls on.
+        #: By the number in the memory of a car: its driver, and the states of its generators.
+        self._racing: dict[float, tuple[list[Any], list[Any]]] = {}
         self._numbers = count((os.getpid() << 24) + 1)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -92,26 +91,24 @@ class _Drive:
     ) -> tuple[float, float]:
         which = int(theta[0]) if len(theta) else 0
         name, make = list(self.makers.items())[min(which, len(self.makers) - 1)]
+        what, lidar = f"driver {self.name}:{name}", _lidar(track)
         if memory[0] == 0.0:
-            if len(self._states) >= MAX_DRIVERS:  # the oldest race is over: fewer run at once
-                oldest = next(iter(self._states))
-                del self._states[oldest]
-                self._made.pop(oldest, None)
+            if len(self._racing) >= MAX_DRIVERS:  # the oldest race is over: fewer run at once
+                del self._racing[next(iter(self._racing))]
             memory[0] = next(self._numbers)
-            self._states[float(memory[0])] = seeded(seed, car)
-        number = float(memory[0])
-        if number not in self._states:
+            self._racing[float(memory[0])] = [], seeded(seed, car)
+        if float(memory[0]) not in self._racing:
             raise InputError(
-                f"driver {self.name}:{name} is asked in the middle of a race that another process"
-                f" began, or that began {MAX_DRIVERS} races ago"
+                f"{what} is asked in the middle of a race that another process began, or that"
+                f" began {MAX_DRIVERS} races ago"
             )
-        lidar, what = _lidar(track), f"driver {self.name}:{name}"
+        made, generators = self._racing[float(memory[0])]
         ranges = np.empty(lidar.beams)
         scan_beams(track.arrays, lidar.kernel, view, 0.0, np.empty(WORK), ranges)
-        with self._running(what, float(view[_view.TIME])), drawing(self._states[number]):
-            if number not in self._made:
-                self._made[number] = make()
-            return _ask(self._made[number], view, ranges)
+        with self._running(what, float(view[_view.TIME])), drawing(generators):
+            if not made:
+                made.append(make())
+            return _ask(made[0], view, ranges)
 
 
 def _ask(

