@@ -2,7 +2,7 @@ from . import observing as observing
 from .agent import Agent as Agent, Strategy as Strategy
 from .blind import save_fit as save_fit
 from .from_torch import TorchPolicy as TorchPolicy
-from .hub import load_from_hub as load_from_hub, write_model_card as write_model_card
+from .hub import load_from_hub as load_from_hub
 from .on_car import PolicyOnCar as PolicyOnCar
 from .onnx_export import export_onnx as export_onnx
 from .sb3_files import save_model as save_model
@@ -22,5 +22,4 @@ __all__ = [
     "register_agent",
     "save_fit",
     "save_model",
-    "write_model_card",
 ]

@@ -1,18 +1,15 @@
-"""Archives, networks and learned planners of the Hugging Face hub, and their model cards.
+"""Archives, networks and learned planners of the Hugging Face hub.
 
 A repository holds one folder as this package saves it. No code of a downloaded file runs.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from pcs_racing.base.artifacts import MANIFEST
 from pcs_racing.base.errors import InputError, require
-from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.planners.learned import LOADERS, folder_kind, load_planner, wrong_kind
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
@@ -29,25 +26,6 @@ KINDS: dict[str, Callable[[Path], Any]] = {
     **dict.fromkeys(LOADERS, load_planner),
 }
 """Loader of each kind of folders."""
-
-CARD = """\
----
-{head}---
-
-# {name}
-
-`{form}` for pcs-racing, head-to-head autonomous racing in a Policy Characteristic Space.
-
-```python
-from pcs_racing_agents.agents import load_from_hub
-
-{noun} = load_from_hub("{repo}")
-```
-
-| field of the manifest | value |
-|---|---|
-{rows}
-"""
 
 
 def load_from_hub(repo_id: str, *, revision: str | None = None) -> Any:
@@ -83,39 +61,8 @@ def load_from_hub(repo_id: str, *, revision: str | None = None) -> Any:
     return KINDS[kind](download(*FILES))
 
 
-def write_model_card(folder: str | Path, repo_id: str, *, license: str = "mit") -> Path:  # noqa: A002
-    """Write ``README.md``, the model card of the hub, from the manifest of a folder.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Folder of an archive, a network or a learned planner.
-    repo_id : str
-        Name of the future repository, as ``"owner/name"``.
-    license : str
-        Licence of the folder, as the hub abbreviates it.
-    """
-    _check_repo(repo_id)
-    folder = Path(folder)
-    kind, file = _kind(folder), folder / MANIFEST
-    KINDS[kind](folder)  # a damaged folder is refused
-    manifest = parse_yaml(file, read_limited(file, MAX_YAML, "a manifest", InputError))
-    tags = ["reinforcement-learning", "autonomous-racing", "f1tenth", "game-theory"]
-    head = {"license": license, "library_name": "pcs-racing", "tags": tags}
-    card = CARD.format(
-        head=yaml.safe_dump(head, sort_keys=False),
-        name=_cell(manifest["name"]),
-        form=f"pcs-racing {kind}",
-        noun=kind.split()[-1],
-        repo=repo_id,
-        rows="\n".join(f"| `{name}` | {_cell(value)} |" for name, value in _facts(manifest)),
-    )
-    write_atomically(folder / "README.md", card)
-    return folder / "README.md"
-
-
 def _check_repo(repo_id: str) -> None:
-    """Check that a name of a repository is ``owner/name``, since a card's code contains it."""
+    """Check that a name of a repository is ``owner/name``."""
     if not isinstance(repo_id, str) or not REPO.fullmatch(repo_id):
         raise InputError(
             f"repo_id is {repo_id!r:.80}; it must be 'owner/name': letters, digits, and '-', '_' or"
@@ -129,18 +76,3 @@ def _kind(folder: Path) -> str:
     if kind not in KINDS:
         raise wrong_kind(folder, kind, KINDS)
     return kind
-
-
-def _facts(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the entries of a manifest, and the entries of its mappings as ``training.seed``."""
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _facts(value, f"{before}{key}.")
-        else:
-            yield f"{before}{key}", value
-
-
-def _cell(value: Any) -> str:
-    """Return a value as text of a Markdown table."""
-    text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-    return " ".join(text.replace("|", "\\|").replace("<", "\\<").split())

@@ -1,6 +1,6 @@
 """ONNX files of policies, planners' networks and agents' networks, for programs without ours.
 
-Learned planners lead from observations or ranges to commands or candidates.
+Policies and planners lead from observations or ranges to commands.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,21 +17,9 @@ from pcs_racing.car.tyres import GRAVITY
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive_options import drive_arguments, drive_elements
 from pcs_racing.envs.models import ModelDriver
-from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
 from pcs_racing.planners.field import lidar_ppo
 from pcs_racing.planners.field.lidar_ppo import LIDAR_FORMAT
 from pcs_racing.planners.learned import folder_kind, wrong_kind
-from pcs_racing.planners.line_ppo import (
-    CONTEXT,
-    LATTICE_SIZE,
-    LAYERS,
-    LINE_FORMAT,
-    MOVE,
-    PAIR,
-    SHARPNESS,
-    SPEED,
-    read_line_planner,
-)
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.planners.racers import policy_racer
@@ -45,7 +33,6 @@ from pcs_racing_agents.agents.sb3_files import (
     training_origin,
 )
 from pcs_racing_agents.base.onnx_file import (
-    Constants,
     OnnxNetwork,
     Step,
     chain,
@@ -125,67 +112,31 @@ LIDAR = f"""
 }}
 """
 
-# Choice among the candidates, by features of `pcs_racing.planners.line_ppo`.
-LINE = f"""
-(float[N,{CONTEXT}] situation, float[N,{MOVE},{GOALS}] moves, float[N,{SPEED},{SPEEDS}] speeds,
- float[N,{PAIR},{CANDIDATES}] candidates)
-=> (float[N,{CANDIDATES}] scores, int64[N] candidate)
-{{
-    context = Gemm (situation, context_weight, context_bias)
-    inner = Tanh (context)
-    move_each = Gather <axis = 2> (moves, move_of)
-    speed_each = Gather <axis = 2> (speeds, speed_of)
-    features = Concat <axis = 1> (move_each, speed_each, candidates)
-    hidden_shared = Gemm (inner, situation_weight, situation_bias)
-    hidden_biased = Add (hidden_shared, candidate_bias)
-    hidden_column = Unsqueeze (hidden_biased, axis_2)
-    candidate_rows = Transpose (candidate_weight)
-    hidden_own = MatMul (candidate_rows, features)
-    hidden = Add (hidden_own, hidden_column)
-    units = Relu (hidden)
-    score_row = Transpose (score_weight)
-    by_units = MatMul (score_row, units)
-    linear = Gemm (inner, weights_weight, weights_bias)
-    linear_row = Unsqueeze (linear, axis_1)
-    by_features = MatMul (linear_row, features)
-    correction = Add (by_units, by_features)
-    others, cost = Split <axis = 1> (candidates, cost_last)
-    price = Mul (cost, sharpness)
-    score = Sub (correction, price)
-    is_rejected = Less (cost, zero)
-    score_each = Where (is_rejected, rejected, score)
-    scores = Squeeze (score_each, axis_1)
-    candidate = ArgMax <axis = 1, keepdims = 0> (scores)
-}}
-"""
-
-
-def _constants(**values: float) -> Constants:
-    return {name: np.array(value, np.float32) for name, value in values.items()}
-
 
 def lidar_network(folder: Path) -> OnnxNetwork:
     """Return the network of a lidar planner."""
     name, layers = lidar_ppo.read_lidar_planner(folder)
     nodes, constants = chain("seen", "action", [*layer_steps(layers, "Relu"), ("Tanh",)])
     first, end = lidar_ppo.EDGES[:-1, None], lidar_ppo.EDGES[1:, None]
-    constants |= _constants(
-        zero=0.0,
-        one=1.0,
-        minus_one=-1.0,
-        max_range=MAX_RANGE,
-        root_scale=2.0 * MAX_RANGE**-0.5,
-        change=lidar_ppo.CHANGE,
-        halved=lidar_ppo.HALVED,
-        max_kappa=lidar_ppo.MAX_KAPPA,
-        max_push=lidar_ppo.PUSH,
-        slowest=lidar_ppo.SLOWEST,
-        braking=0.1 * BRAKING,
-        gain=10.0,
-        max_acceleration=9.5,
-        steer_min=-F1TENTH.steer_max,
+    numbers = {
+        "zero": 0.0,
+        "one": 1.0,
+        "minus_one": -1.0,
+        "max_range": MAX_RANGE,
+        "root_scale": 2.0 * MAX_RANGE**-0.5,
+        "change": lidar_ppo.CHANGE,
+        "halved": lidar_ppo.HALVED,
+        "max_kappa": lidar_ppo.MAX_KAPPA,
+        "max_push": lidar_ppo.PUSH,
+        "slowest": lidar_ppo.SLOWEST,
+        "braking": 0.1 * BRAKING,
+        "gain": 10.0,
+        "max_acceleration": 9.5,
+        "steer_min": -F1TENTH.steer_max,
         **CAR,
-    ) | {
+    }
+    constants |= {name: np.array(value, np.float32) for name, value in numbers.items()}
+    constants |= {
         # A narrow sector names its last beam more than once.
         "sector_beams": np.minimum(first + np.arange((end - first).max()), end - 1),
         "memory_parts": np.array([1, 2, lidar_ppo.MEMORY - 3]),
@@ -208,40 +159,6 @@ def lidar_network(folder: Path) -> OnnxNetwork:
     return OnnxNetwork(LIDAR.replace("LAYERS", nodes), constants, about)
 
 
-def line_network(folder: Path) -> OnnxNetwork:
-    """Return the network of ``line-ppo``, from features to the chosen candidate."""
-    fields, numbers = read_line_planner(folder)
-    flat, number = numbers[LATTICE_SIZE:], np.arange(CANDIDATES)
-    constants = _constants(zero=0.0, rejected=-1e30, sharpness=SHARPNESS) | {
-        "move_of": number % GOALS,
-        "speed_of": number // GOALS,
-        "axis_1": np.array([1]),
-        "axis_2": np.array([2]),
-        "cost_last": np.array([PAIR - 1, 1]),
-    }
-    for layer, (above, below) in LAYERS.items():
-        part = flat[: (below + 1) * above].astype(np.float32).reshape(below + 1, above)
-        constants |= {f"{layer}_bias": part[0], f"{layer}_weight": part[1:]}
-        flat = flat[part.size :]
-    del constants["score_bias"]  # the same for all candidates
-    sizes = {
-        "situation": (CONTEXT,),
-        "moves": (MOVE, GOALS),
-        "speeds": (SPEED, SPEEDS),
-        "candidates": (PAIR, CANDIDATES),
-    }
-    about = {
-        "name": fields["name"],
-        "period": PERIOD,
-        "inputs": {name: f"features of shape {shape}" for name, shape in sizes.items()},
-        "outputs": {
-            "scores": "score of each candidate",
-            "candidate": "index of the max value",
-        },
-    }
-    return OnnxNetwork(LINE, constants, about)
-
-
 DRAWN = 64
 """Number of drawn observations with equal answers of a file and its policy."""
 
@@ -249,16 +166,15 @@ DRAWN = 64
 def export_onnx(model: Any, path: str | PathLike[str]) -> Path:
     """Write the network of a policy, a planner or an agent as an ONNX file, and return its path.
 
-    The command of a policy or planner is a steering angle (rad) and a speed (m/s); planners drive
-    the F1TENTH car. The file of ``line-ppo`` chooses a candidate of its lattice, and an agent
-    makes a move. The file of a model or of an agent's network answers drawn observations as the
-    model or network itself, or it is not written.
+    The command of a policy or planner is a steering angle (rad) and a speed (m/s); ``lidar-ppo``
+    drives the F1TENTH car. An agent makes a move. The file of a model or of an agent's network
+    answers drawn observations as the model or network itself, or it is not written.
 
     Parameters
     ----------
     model : object
-        Name of a learned planner (``"lidar-ppo"``) or of an agent's shipped network, the folder of
-        one, or ``model.zip``; a Stable-Baselines3 model with an MlpPolicy, its policy
+        Name of a planner with a lidar (``"lidar-ppo"``) or of an agent's shipped network, the
+        folder of one, or ``model.zip``; a Stable-Baselines3 model with an MlpPolicy, its policy
         (:func:`pcs_racing.racer`), or a :class:`RegretNetwork`.
     path : str or path
         File to write, ``NAME.onnx``.
@@ -295,11 +211,14 @@ def _plain(model: Any, name: str) -> Sb3Policy:
 
 def _named(name: str) -> OnnxNetwork:
     """Export the network of a folder, or a shipped network."""
-    shipped = {one: place.shipped for place in FORMATS for one in place.shipped_names()}
-    if name not in shipped and not folder_kind(name):
+    places = [(one, place) for place in FORMATS for one in place.shipped_names()]
+    folders = {one: place.shipped / one for one, place in places}
+    exports = {place.noun: export for place, export in FORMATS.items()}
+    shipped = {one: place for one, place in folders.items() if folder_kind(place) in exports}
+    folder = shipped.get(name, Path(name))
+    found = folder_kind(folder)
+    if not found:
         raise UnknownNameError(f"there is no network {name!r}; {choices(name, sorted(shipped))}")
-    folder = shipped[name] / name if name in shipped else Path(name)
-    found, exports = folder_kind(folder), {place.noun: one for place, one in FORMATS.items()}
     if found not in exports:
         raise wrong_kind(folder, found, exports)
     return exports[found](folder)
@@ -396,6 +315,5 @@ def _regrets(network: RegretNetwork) -> OnnxNetwork:
 
 FORMATS: dict[ArtifactFormat, Callable[[Path], OnnxNetwork]] = {
     LIDAR_FORMAT: lidar_network,
-    LINE_FORMAT: line_network,
     NETWORK_FORMAT: lambda folder: _regrets(load_network(folder)),
 }

@@ -16,9 +16,8 @@
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import yaml
@@ -37,7 +36,6 @@ from pcs_racing.race.config import Rules, load_rules
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.jobs import Arrays, Job, open_job
 from pcs_racing_agents.base.statistics import clustered_mean
-from pcs_racing_agents.base.style import Curve, curves_picture, save_picture
 from pcs_racing_agents.base.tables import Column, table_rows, write_csv
 from pcs_racing_agents.policies.evaluate import (
     Evaluation,
@@ -180,7 +178,7 @@ def tune(
     executor: Executor | None = None,
     callback: TuningCallback | None = None,
 ) -> Tuned:
-    """Tune a planner; write ``tuned.yaml``, ``check.csv``, ``progress.csv`` and ``progress.png``.
+    """Tune a planner; write ``tuned.yaml``, ``check.csv`` and ``progress.csv``.
 
     A stopped run resumes when it is started again with the same settings.
 
@@ -211,8 +209,6 @@ def tune(
         kept = kept_words(both, config.crash_limit)
         write_csv(table_rows(CHECK, check), folder / "check.csv")
         write_csv(table_rows(COURSE, run.course), folder / "progress.csv")
-        if find_spec("matplotlib") is not None:
-            save_picture(course_picture(run.course, config.crash_limit), folder / "progress.png")
         about = {"policy": text, "kept": kept, **plain_settings(config)}
         write_atomically(folder / "tuned.yaml", yaml.safe_dump(about, sort_keys=False))
         return Tuned(parse_policy(text), check, run.course, kept)
@@ -377,15 +373,3 @@ def _check_lines(config: TuningConfig, scenarios: Scenarios, raced: Arrays) -> I
                     min(score.high, 1.0),
                     float(raced["own_crash"][k, races].mean()),
                 )
-
-
-def course_picture(course: list[TuningProgress], crash_limit: float) -> Any:
-    """Draw score and own crashes by generation."""
-    x, score, best, crash, _ = np.array(course, np.float64).T
-    return curves_picture(
-        {
-            "score": [Curve(x, score, "mean"), Curve(x, best, "best, less crashes")],
-            "own crashes": [Curve(x, crash, "mean"), Curve(x, 0 * x + crash_limit, "limit")],
-        },
-        x_label="generation",
-    )

@@ -1,33 +1,17 @@
-"""The last stage: race results line by line, tables, and one self-contained page."""
+"""The last stage: race results line by line, tables, and one page of findings."""
 
-import base64
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
-from pcs_racing.race.replay import Replay
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.blind import load_fit
 from pcs_racing_agents.base.statistics import Comparison
-from pcs_racing_agents.base.style import (
-    COLOURS,
-    INK,
-    SOFT,
-    new_figure,
-    picture,
-    picture_bytes,
-    short,
-    tidy,
-)
 from pcs_racing_agents.base.tables import table_rows
-from pcs_racing_agents.policies.picture import archive_picture
 from pcs_racing_agents.study.config import BASELINES
-from pcs_racing_agents.study.study import Study, study_pairing
+from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.study.table import (
     COLUMNS,
     GAIN,
@@ -40,15 +24,9 @@ from pcs_racing_agents.study.table import (
     write_table,
 )
 from pcs_racing_agents.tournament import RaceTable, closeness_text, write_results
-from pcs_racing_agents.watch.explain import explain_race
 from pcs_racing_agents.watch.pages import rendered
-from pcs_racing_agents.watch.pictures import explanation_picture
-from pcs_racing_agents.watch.race_choice import OUTCOMES, outcomes
-from pcs_racing_agents.watch.words import story
 
 MIN_RACES = 1000  # per agent and row; below it is a smoke test; paper: 4,000
-WATCHED = ("a win by switching", "a win with switches", "a loss", "a crash of its own")
-"""Outcomes of the report's example races."""
 
 
 class TitledTable(NamedTuple):
@@ -59,15 +37,6 @@ class TitledTable(NamedTuple):
     note: str = ""
 
 
-class ExplainedRace(NamedTuple):
-    """A race of a report."""
-
-    title: str
-    text: str  #: Explanation; may be empty.
-    replay: Replay
-    picture: bytes = b""  #: Observations and moves as an SVG picture; may be empty.
-
-
 def report_page(
     title: str,
     *,
@@ -76,8 +45,6 @@ def report_page(
     findings: Sequence[str] = (),
     caution: str = "",
     tables: Sequence[TitledTable] = (),
-    races: Sequence[ExplainedRace] = (),
-    pictures: Mapping[str, bytes] = MappingProxyType({}),
     settings: Mapping[str, Any] = MappingProxyType({}),
 ) -> str:
     """Return a report as HTML from the template ``report.html``; all text is escaped.
@@ -92,13 +59,11 @@ def report_page(
         Results, one sentence each; the first is the headline.
     caution : str
         Reason to distrust the results.
-    pictures : mapping
-        SVG pictures by caption.
     """
     return rendered(
         "pcs_racing_agents.study",
         "report.html",
-        {"data": _data_url, "plain": _plain},
+        {"plain": _plain},
         title=title,
         result=findings[0] if findings else "",
         facts=facts,
@@ -106,14 +71,8 @@ def report_page(
         findings=findings[1:],
         caution=caution,
         tables=tables,
-        races=races,
-        pictures=pictures,
         settings=settings,
     )
-
-
-def _data_url(svg: bytes) -> str:
-    return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
 
 
 def _plain(value: Any) -> str:
@@ -160,8 +119,6 @@ def write_report(study: Study, races: RaceTable) -> None:
         findings=list(findings(main, config.best)),
         caution=caution(main),
         tables=tables,
-        races=list(watched_races(study, main_races)),
-        pictures=_pictures(study, main),
         settings=plain_settings(config),
     )
     write_atomically(folder / "report.html", page)
@@ -219,71 +176,3 @@ def caution(lines: Sequence[TableLine]) -> str:
         f"This is a smoke test, too small to conclude from: {races} races of an agent in a row, the"
         " paper has 4,000."
     )
-
-
-def watched_races(study: Study, races: RaceTable) -> Iterator[ExplainedRace]:
-    """Yield the best agent's closest win, loss and crash of the main table."""
-    best = study.config.best
-    own = races.agents.codes[:, 0] == races.agents.words.index(best)
-    outcome = np.where(own, outcomes(races, 0), -1)
-    for kind in WATCHED:
-        rows = np.flatnonzero(outcome == OUTCOMES.index(kind))
-        if len(rows):
-            row = races[int(rows[np.argmin(np.abs(races.lead[rows]))])]
-            explanation = explain_race(study_pairing(study, races, row), row.race)
-            title = f"{best}: {kind}; of {len(rows)} such races the closest, {abs(row.lead):.1f} m"
-            svg = picture_bytes(explanation_picture(explanation)) if _can_draw() else b""
-            yield ExplainedRace(title, story(explanation), explanation.replay, svg)
-
-
-def _can_draw() -> bool:
-    return find_spec("matplotlib") is not None
-
-
-def _pictures(study: Study, lines: Sequence[TableLine]) -> dict[str, bytes]:
-    """Return the pictures of a report as SVG by caption; none without matplotlib."""
-    if not _can_draw():
-        return {}
-    figures = {
-        f"Gain of each agent over {lines[0].arm}.": differences_picture(lines),
-        "Policies, and the moves of one of them.": archive_picture(
-            study.archive, epsilon=study.config.rules.epsilon
-        ),
-    }
-    return {caption: picture_bytes(figure) for caption, figure in figures.items()}
-
-
-@picture
-def differences_picture(lines: Sequence[TableLine]) -> Any:
-    """Draw the differences of each row in a panel, with their intervals."""
-    panels: dict[str, list[TableLine]] = {}
-    for line in lines:
-        if line.kind != "score":
-            panels.setdefault(f"{short(line.circuit, 20)}, {short(line.opponent, 16)}", []).append(
-                line
-            )
-    # All panels share the names of the whole table: an agent missing from a row leaves a gap.
-    names = list(dict.fromkeys(line.name for own in panels.values() for line in own))
-    columns = max(1, min(3, len(panels)))
-    rows = max(1, -(-len(panels) // columns))
-    figure = new_figure(2.0 + 2.3 * columns, 0.7 + (0.55 + 0.21 * len(names)) * rows)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for axes in grid[len(panels) :]:
-        axes.set_visible(False)
-    for axes, (title, own) in zip(grid, panels.items(), strict=False):
-        axes.set_title(title, fontsize=8.5)
-        axes.axvline(0.0, color=INK, lw=0.8)
-        for line in own:
-            colour, height = COLOURS[line.kind == GAIN], -names.index(line.name)
-            fill = colour if line.p_holm < 0.05 else "white"
-            axes.plot([line.result.low, line.result.high], [height] * 2, color=colour, lw=2.0)
-            axes.plot(
-                line.result.difference, height, "o", ms=6, mec=colour, mew=1.4, mfc=fill, zorder=3
-            )
-        axes.set_yticks([-i for i in range(len(names))], [short(name) for name in names])
-        axes.set_ylim(-len(names) + 0.4, 0.6)
-        axes.locator_params(axis="x", nbins=5)
-        tidy(axes, "x")
-    label = f"difference of score from {short(lines[0].arm)}, 95 % intervals"
-    figure.supxlabel(f"{label}; hollow: p (Holm) not below 0.05", fontsize=8.5, color=SOFT)
-    return figure

@@ -7,7 +7,7 @@ from pcs_racing_agents.study.report import TitledTable
 NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
 
 
-def toy_report(watched, svg: bytes) -> dict[str, Any]:
+def toy_report() -> dict[str, Any]:
     """Return the arguments of a report."""
     return {
         "title": f"A study {NASTY}",
@@ -19,7 +19,5 @@ def toy_report(watched, svg: bytes) -> dict[str, Any]:
             TitledTable("Results", [("change", "gain"), (NASTY, "+0.05")], NASTY),
             TitledTable(NASTY, [("change",), ("none",)]),
         ],
-        "races": [watched, watched._replace(title=NASTY, text=NASTY)],
-        "pictures": {NASTY: svg},
         "settings": {"race": NASTY, "tracks": ["a", "b"]},
     }

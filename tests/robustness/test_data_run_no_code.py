@@ -339,7 +339,6 @@ NAMELESS = {
     "_game",
     "_section",
     "check",
-    "write_model_card",  # texts of a manifest
     "read_agent",  # a text; an option's value is no name of code
     "_parse_like",
     "read_origin",

@@ -6,14 +6,13 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 import pytest
-import yaml
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT
 from pcs_racing.planners.line_ppo import LINE_FORMAT
 from pcs_racing.planners.planner import Planner
-from pcs_racing_agents.agents import load_from_hub, write_model_card
+from pcs_racing_agents.agents import load_from_hub
 from pcs_racing_agents.agents.hub import FILES
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT
@@ -76,33 +75,8 @@ def test_a_missing_repository_and_another_format_are_one_line(hub):
         *("a--b/c", "a/b..c", "a/b.git", "-a/b", f"a/{97 * 'b'}", "a/b\n"),
     ],
 )
-def test_a_name_that_is_no_repository_is_refused(hub, tmp_path, name):
+def test_a_name_that_is_no_repository_is_refused(hub, name):
     with pytest.raises(InputError, match="must be 'owner/name'"):
         load_from_hub(name)
-    with pytest.raises(InputError, match="must be 'owner/name'"):
-        write_model_card(tmp_path, name)
     with pytest.raises(InputError, match="must be a branch, a tag or a commit"):
         load_from_hub("somebody/model", revision="../../model" if name is None else f"{name}/..")
-
-
-@pytest.mark.parametrize("kind", SHIPPED)
-def test_a_model_card_repeats_the_manifest_and_shows_how_to_load(tmp_path, kind):
-    folder = shutil.copytree(SHIPPED[kind][0], tmp_path / "model")
-    card = write_model_card(folder, "somebody/model", license="cc-by-4.0").read_text("utf-8")
-    _, head, page = card.split("---\n", 2)
-    assert yaml.safe_load(head)["license"] == "cc-by-4.0"
-    assert 'load_from_hub("somebody/model")' in page
-    manifest = yaml.safe_load((folder / "manifest.yaml").read_text("utf-8"))
-    assert f"# {manifest['name']}\n" in page
-    facts = "settings" if kind == "archive" else "training"
-    name, value = next(iter(manifest[facts].items()))
-    assert f"| `{facts}.{name}` | {value} |" in page
-    assert page.count("\n| ") > len(manifest)
-
-
-def test_a_card_of_a_damaged_folder_is_refused(tmp_path):
-    folder = shutil.copytree(SHIPPED["network"][0], tmp_path / "model")
-    (folder / "weights.safetensors").write_bytes(b"other weights")
-    with pytest.raises(InputError, match="its digest differs"):
-        write_model_card(folder, "somebody/model")
-    assert not (folder / "README.md").exists()

@@ -8,17 +8,9 @@ import pytest
 from refusal import refused
 
 from pcs_racing import load_track
-from pcs_racing.base.compilation import compiled
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs import DriveEnv, DuelEnv
 from pcs_racing.planners import PATH_KAPPA, PATH_SPEED, VIEW, Lidar
-from pcs_racing.planners.line_ppo import (
-    FIRST,
-    LATTICE_SIZE,
-    TOTAL,
-    choose,
-    read_line_planner,
-)
 from pcs_racing.planners.racers import racer
 from pcs_racing.planners.scanning import BEAMS, FIELD_OF_VIEW, MAX_RANGE
 from pcs_racing_agents.agents import PolicyOnCar, export_onnx, save_model
@@ -84,30 +76,6 @@ def test_ranges_become_the_commands_of_lidar_ppo(tmp_path, rng, monkeypatch):
     for name, value in network.about["vehicle"].items():
         number = list(VIEW).index("WHEELBASE" if name == "wheelbase" else name.upper())
         assert value == pytest.approx(view[number], rel=1e-12), name
-
-
-@compiled
-def _choose(flat, scratch):
-    return choose(flat, scratch)
-
-
-def test_line_ppo_chooses_the_same_candidate(tmp_path, rng):
-    network, (_, numbers) = opened("line-ppo", tmp_path), read_line_planner()
-    inputs = {name: rng.normal(size=(50, *shape)) for name, shape in network.shapes.items()}
-    above = np.abs(inputs["candidates"][:, -1])
-    inputs["candidates"][:, -1] = np.where(rng.uniform(size=above.shape) < 0.2, -1.0, above)
-    inputs = {name: values.astype(np.float32) for name, values in inputs.items()}
-    found = network.outputs(**inputs)
-    chosen, scratch = [], np.zeros(TOTAL)
-    for row in range(50):
-        features = np.concatenate([values[row].ravel() for values in inputs.values()])
-        scratch[FIRST : FIRST + len(features)] = features
-        chosen.append(_choose(numbers[LATTICE_SIZE:], scratch))
-    np.testing.assert_array_equal(found["candidate"], chosen)
-    assert len(set(chosen)) > 10
-    rejected = inputs["candidates"][:, -1] < 0.0
-    assert (found["scores"][rejected] < -1e20).all()
-    assert (found["scores"][~rejected] > -1e20).all()
 
 
 @pytest.mark.parametrize("name", [list_networks()[0], list_networks()[-1]])
@@ -196,18 +164,19 @@ def test_a_policy_of_moves(tmp_path, rng, sb3):
 
 
 def test_the_command_writes_a_file_and_refuses_early(tmp_path, capsys):
-    file = tmp_path / "line.onnx"
-    assert main(["export", "line-ppo", "--out", str(file)]) == 0
+    file = tmp_path / "lidar.onnx"
+    assert main(["export", "lidar-ppo", "--out", str(file)]) == 0
     assert capsys.readouterr().out == f"written: {file}\n"
     for words, said in {
-        f"export line-ppo --out {tmp_path / 'file.zip'}": "its name must end in .onnx",
-        f"export line-pp --out {file}": "there is no network 'line-pp'; did you mean 'line-ppo'?",
+        f"export lidar-ppo --out {tmp_path / 'file.zip'}": "its name must end in .onnx",
+        f"export lidar-pp --out {file}": "no network 'lidar-pp'; did you mean 'lidar-ppo'?",
+        f"export line-ppo --out {file}": "there is no network 'line-ppo'",
         f"export lattice --out {file}": "there is no network 'lattice'",
         f"export {tmp_path / 'model.zip'} --out {file}": "model.zip",
     }.items():
         assert main(words.split()) == 2
         assert said in capsys.readouterr().err
-    assert [one.name for one in tmp_path.iterdir()] == ["line.onnx"]
+    assert [one.name for one in tmp_path.iterdir()] == ["lidar.onnx"]
 
 
 def test_a_file_that_answers_otherwise_than_its_network_is_not_written(tmp_path, monkeypatch):

@@ -67,8 +67,7 @@ def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished):
         "random-moves",
     }
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert "<iframe" in page
-    assert "data:image/svg" in page
+    assert "All findings" in page
     # The gain is over the best baseline in training.
     gains = [row for row in read_csv(folder / "table.csv").rows() if "gain" in row["kind"]]
     assert {row["base"] for row in gains} == {best_baseline(finished)}
