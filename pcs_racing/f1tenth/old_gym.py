@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from inspect import Parameter, signature
 from types import ModuleType
@@ -227,28 +226,26 @@ _ENTRANCES = {
 }
 
 
-class Adapter(MetaPathFinder):
-    """Import hook that adapts all environments given to Stable-Baselines3 to Gymnasium."""
+def adapted_spec(fullname: str, path: Sequence[str] | None) -> ModuleSpec | None:
+    """Return the spec of a module of Stable-Baselines3 that adapts all environments to Gymnasium.
 
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        """Find a module, and adapt its entrance after its execution."""
-        name = _ENTRANCES.get(fullname)
-        spec = PathFinder.find_spec(fullname, path) if name else None
-        if name and spec and spec.loader:
-            execute = spec.loader.exec_module
+    It is None for a module without an entrance.
+    """
+    name = _ENTRANCES.get(fullname)
+    spec = PathFinder.find_spec(fullname, path) if name else None
+    if name and spec and spec.loader:
+        execute = spec.loader.exec_module
 
-            def run(module: ModuleType) -> None:
-                execute(module)
-                entrance = getattr(module, name)
-                if isinstance(entrance, type):
-                    setattr(entrance, "__init__", _adapted(entrance.__init__, 1))  # type: ignore[misc]  # noqa: B010
-                else:
-                    setattr(module, name, _adapted(entrance, 0))
+        def run(module: ModuleType) -> None:
+            execute(module)
+            entrance = getattr(module, name)
+            if isinstance(entrance, type):
+                setattr(entrance, "__init__", _adapted(entrance.__init__, 1))  # type: ignore[misc]  # noqa: B010
+            else:
+                setattr(module, name, _adapted(entrance, 0))
 
-            spec.loader.exec_module = run  # type: ignore[method-assign]
-        return spec
+        spec.loader.exec_module = run  # type: ignore[method-assign]
+    return spec
 
 
 def _adapted(function: Any, place: int) -> Any:

@@ -224,10 +224,6 @@ class EnvRenderer(_Painter):
         self.cars: list[Drawing] = []
         self.poses: Any = None
 
-    def get_size(self) -> tuple[int, int]:
-        """Return width and height in pixels."""
-        return self.width, self.height
-
     def update_obs(self, obs: dict[str, Any], states: NDArray[np.float64]) -> None:
         """Store the cars' poses."""
         self.ego_idx, self._states = obs["ego_idx"], states

@@ -230,20 +230,6 @@ class RaceCar:
         """Change parameters of this car."""
         self._simulator.update_params(params, self._index)
 
-    def set_map(self, map_path: Any, map_ext: str | None = None) -> None:
-        """Switch all cars to another map."""
-        self._simulator.set_map(map_path, map_ext)
-
-    def reset(self, pose: ArrayLike) -> None:
-        """Place this car at a pose, at rest."""
-        at, row = (
-            check_array("pose", pose, (3,), minimum=-1e6, maximum=1e6),
-            self._simulator.cars[self._index],
-        )
-        row[: k.CONTACT] = 0.0
-        row[[k.X, k.Y, k.PSI]] = row[k.AT_X : k.AT_PSI + 1] = at
-        row[k.WALL] = 0.0
-
     @property
     def state(self) -> Floats:
         """State: x, y, steering angle, speed, heading; without model KS also yaw rate and slip.

@@ -103,13 +103,16 @@ def _contents() -> dict[str, dict[str, Any]]:
     }
 
 
-class _Refuser(MetaPathFinder):
-    """Import hook that refuses unsupported gym modules in one sentence, even if installed."""
+class _Finder(MetaPathFinder):
+    """Import hook that refuses unsupported gym modules in one sentence, even if installed.
+
+    Modules of Stable-Baselines3 adapt environments of gym.
+    """
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Raise an error for unsupported modules; return None for all other modules."""
+        """Raise an error for unsupported modules; return None for modules that need no change."""
         package, _, rest = fullname.partition(".")
         if (
             package == "gym"
@@ -121,7 +124,7 @@ class _Refuser(MetaPathFinder):
             return sys.modules[fullname].__spec__
         if package in ("gym", "f110_gym", "f1tenth_gym") and rest:
             raise NotServedError(*fullname.rsplit(".", 1))
-        return None
+        return old_gym.adapted_spec(fullname, path)
 
 
 def install() -> None:
@@ -139,7 +142,7 @@ def install() -> None:
     """
     for name, values in _contents().items():
         _add_module(name, values)
-    sys.meta_path[:0] = [old_gym.Adapter(), _Refuser()]
+    sys.meta_path.insert(0, _Finder())
     vars(np).update({name: value for name, value in _REMOVED.items() if name not in vars(np)})
     _let_math_take_arrays()
     setattr(gymnasium.Env, "seed", old_gym.seed_generator)  # noqa: B010

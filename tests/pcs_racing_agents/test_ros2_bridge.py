@@ -22,6 +22,7 @@ from pcs_racing import load_track
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.planners.ros_nodes import Node, ask_node, modules
 from pcs_racing_agents.agents import PolicyOnCar, export_onnx
+from pcs_racing_agents.networks import list_networks
 
 PACKAGE = REPOSITORY / "examples" / "ros2_bridge"
 NAME = "pcs_racing_ros"
@@ -392,7 +393,7 @@ def test_the_steering_angle_follows_the_command_to_stop(ros):
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [
-        ({"policy": "line-ppo.onnx"}, "takes situation, moves, speeds, candidates"),
+        ({"policy": "network.onnx"}, "takes observation"),
         ({"policy": "none.onnx"}, "there is no file none.onnx"),
         ({"policy": "lidar-ppo"}, "planner 'lidar-ppo' would scan the map"),
         ({"policy": "gap-follower:top_speed=5"}, "planner 'gap-follower' would scan the map"),
@@ -404,7 +405,7 @@ def test_the_steering_angle_follows_the_command_to_stop(ros):
 )
 def test_bad_parameters_are_refused(ros, lidar_ppo, tmp_path, monkeypatch, parameters, said):
     monkeypatch.chdir(tmp_path)
-    export_onnx("line-ppo", "line-ppo.onnx")
+    export_onnx(list_networks()[0], "network.onnx")
     with pytest.raises(ValueError, match=said):
         ros("planning").Planning(**parameters)
 

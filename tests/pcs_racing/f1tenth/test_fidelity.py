@@ -291,8 +291,6 @@ def test_what_programs_reach_for(ring):
     row, column = np.argwhere(loaded.free)[0]
     assert lidar.dt.shape == lidar.map_img.shape == loaded.free.shape
     assert (lidar.dt[row, column] > 0.0) == (lidar.map_img[row, column] == 255.0)
-    car.reset(place(1.0))
-    assert car.state[[0, 1, 4]].tolist() == list(place(1.0))
     car.update_params({"mu": 0.5})
     assert (car.params["mu"], env.sim.agents[1].params["mu"]) == (0.5, 1.0489)
     env.sim.set_map(str(ring), ".png")
