@@ -16,7 +16,7 @@ _PLACES = {
         " vehicle_dynamics_st"
     ),
     "lines": "Track TrackSpec Raceline CubicSpline2D nearest_point_on_trajectory",
-    "rendering": "EnvRenderer RenderSpec TrackRenderer get_vertices",
+    "rendering": "EnvRenderer TrackRenderer get_vertices",
 }
 NAMES = {name: module for module, names in _PLACES.items() for name in names.split()}
 

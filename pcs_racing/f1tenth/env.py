@@ -28,7 +28,7 @@ from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.lines import Track, starting_poses
 from pcs_racing.f1tenth.maps import load_map
 from pcs_racing.f1tenth.observations import observation
-from pcs_racing.f1tenth.rendering import EnvRenderer, RenderSpec, TrackRenderer
+from pcs_racing.f1tenth.rendering import EnvRenderer, TrackRenderer
 from pcs_racing.f1tenth.simulator import (
     BEAMS,
     DEFAULT_PARAMS,
@@ -356,7 +356,7 @@ class GenerationB(F110Env):
         self.observation_space, self._observe = observation(self, self.observation_config)
         if render_mode is not None:
             check_choice("render_mode", render_mode, _MODES, ConfigError)
-        self.render_mode, self.render_spec = render_mode, RenderSpec()
+        self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": int(1.0 / self.timestep)}
         self.render_callbacks = []
 
@@ -410,6 +410,6 @@ class GenerationB(F110Env):
         fps = self.metadata["render_fps"] * (10.0 if self.render_mode == "human_fast" else 1.0)
         window = self.render_mode != "rgb_array"
         self.renderer = self._shown(
-            lambda: TrackRenderer(self.track.loaded, self.render_spec, window=window, fps=fps)
+            lambda: TrackRenderer(self.track.loaded, window=window, fps=fps)
         )
         return self.renderer.draw(self.sim.states, self.sim.time, self.render_callbacks)

@@ -62,7 +62,7 @@ class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self.env.render(*args, **named)
 
 
-class Today(gymnasium.Wrapper[Any, Any, Any, Any]):
+class _Today(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Gymnasium's interface for an environment of gym 0.21; current environments are unchanged."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
@@ -96,11 +96,11 @@ def _arguments(env: Any) -> Collection[str]:
 def _older(name: str, wrapper: Callable[..., Any]) -> type[Wrapper]:
     """Return a wrapper of Gymnasium with the interface of gym."""
 
-    class Older(Wrapper):
+    class _Older(Wrapper):
         def __init__(self, env: Any, *given: Any, **named: Any) -> None:
             super().__init__(env)
             named = {_RENAMED.get(key, key): value for key, value in named.items()}
-            self._inner = wrapper(Today(env), *given, **named)
+            self._inner = wrapper(_Today(env), *given, **named)
             self.action_space = self._inner.action_space
             self.observation_space = self._inner.observation_space
 
@@ -118,8 +118,8 @@ def _older(name: str, wrapper: Callable[..., Any]) -> type[Wrapper]:
             more = {"TimeLimit.truncated": not ended} if late else {}
             return obs, reward, ended or late, info | more
 
-    Older.__name__ = name
-    return Older
+    _Older.__name__ = name
+    return _Older
 
 
 class ClipAction(Wrapper):
@@ -253,7 +253,7 @@ def _adapted(function: Any, place: int) -> Any:
 
     def call(*given: Any, **named: Any) -> Any:
         env = given[place] if len(given) > place else named.pop("env")
-        env = Today(env) if isinstance(env, gymnasium.Env) and not isinstance(env, Today) else env
+        env = _Today(env) if isinstance(env, gymnasium.Env) and not isinstance(env, _Today) else env
         return function(*given[:place], env, *given[place + 1 :], **named)
 
     return call

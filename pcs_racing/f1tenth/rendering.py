@@ -4,7 +4,6 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib.util import find_spec
 from types import SimpleNamespace
 from typing import Any
@@ -20,6 +19,7 @@ from pcs_racing.race.painting import COLOURS, FINER, Camera, paint_car
 from pcs_racing.race.rendering import Window
 
 PIXELS = 50.0  # per metre, in drawings by callbacks of generation A
+SIDE, ZOOM = 800, 1.5  # of frames of generation B: pixels, and pixels per cell of the map
 HALF_SIZE = np.array([0.5 * F1TENTH.length, 0.5 * F1TENTH.width])
 
 Frame = NDArray[np.uint8]
@@ -112,36 +112,22 @@ class _Painter:
             self._window.close()
 
 
-@dataclass
-class RenderSpec:
-    """Settings of a renderer of generation B."""
-
-    window_size: int = 800  #: Side of the window, pixels.
-    focus_on: str | None = "agent_0"  #: Followed car; None shows the whole map.
-    zoom_in_factor: float = 1.5
-
-
 class TrackRenderer(_Painter):
-    """Renderer for callbacks of generation B."""
+    """Renderer for callbacks of generation B; it follows the first car."""
 
-    def __init__(self, loaded: GymMap, spec: RenderSpec, *, window: bool, fps: float) -> None:
-        super().__init__(loaded, spec.window_size, spec.window_size, window, fps)
-        self.render_spec, self._shown = spec, window
+    def __init__(self, loaded: GymMap, *, window: bool, fps: float) -> None:
+        super().__init__(loaded, SIDE, SIDE, window, fps)
+        self._shown = window
 
     def draw(
         self, states: NDArray[np.float64], now: float, callbacks: list[Callable[[Any], None]]
     ) -> Frame | None:
         """Draw the cars and the drawings of callbacks; return the frame unless it is shown."""
         self.cars, self.sim_time = states, now
-        visible, focus = self._window is not None or not self._shown, self.render_spec.focus_on
+        visible = self._window is not None or not self._shown
         if visible:
-            whole = np.array(self._picture.size) * self._map.resolution
-            x, y = self._map.origin + 0.5 * whole
-            scale = self.width * FINER / float(whole.max())
-            if focus is not None:
-                x, y = states[min(int(focus.rpartition("_")[2]), len(states) - 1), :2]
-                scale = FINER * self.render_spec.zoom_in_factor / self._map.resolution
-            image = self._begin(float(x), float(y), scale)
+            x, y = states[0, :2].tolist()
+            image = self._begin(x, y, FINER * ZOOM / self._map.resolution)
             self._draw_cars(states)
         for callback in callbacks:
             callback(self)

@@ -248,7 +248,7 @@ class RaceCar:
         return bool(self._simulator.cars[self._index, k.WALL])
 
 
-class SameNoise:
+class _SameNoise:
     """Noise of one seed in blocks of 64 steps, restarted by each episode and shared by all cars."""
 
     BLOCK, KEPT = 64, 32  # steps drawn at once, and stored blocks: 18 MB
@@ -296,7 +296,7 @@ class Simulator:
         self._work, self._inverse = np.empty(WORK_SHAPE), np.empty(beams)
         self.cars, self.agent_scans = np.zeros((cars, k.COLUMNS)), np.zeros((cars, beams))
         self.agents = [RaceCar(self, i) for i in range(cars)]
-        self.rng, self._noise, self.steps = np.random.default_rng(seed), SameNoise(seed, beams), 0
+        self.rng, self._noise, self.steps = np.random.default_rng(seed), _SameNoise(seed, beams), 0
         self.time, self.started = 0.0, False  # s
 
     states = property(lambda self: self.cars[:, :7])
@@ -391,7 +391,7 @@ class Simulator:
                 " 2), steering and speed"
             )
         if self.setup.faithful:
-            number, at = divmod(self.steps, SameNoise.BLOCK)
+            number, at = divmod(self.steps, _SameNoise.BLOCK)
             if at == 0:
                 self._drawn = self._noise.block(number)
             noise = self._drawn[at]

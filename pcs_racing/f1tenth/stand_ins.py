@@ -24,7 +24,7 @@ from pcs_racing.f1tenth.maps import find_yaml
 from pcs_racing.f1tenth.observations import FEATURES
 
 
-class NotServedError(InputError, ImportError):
+class _NotServedError(InputError, ImportError):
     """Error for an unsupported name of the gym."""
 
     def __init__(self, module: str, name: str) -> None:
@@ -123,7 +123,7 @@ class _Finder(MetaPathFinder):
             sys.modules[fullname] = import_module(f"gymnasium.{rest}")
             return sys.modules[fullname].__spec__
         if package in ("gym", "f110_gym", "f1tenth_gym") and rest:
-            raise NotServedError(*fullname.rsplit(".", 1))
+            raise _NotServedError(*fullname.rsplit(".", 1))
         return old_gym.adapted_spec(fullname, path)
 
 
@@ -170,10 +170,10 @@ def _missing(module: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
         if module.startswith("gym.wrappers"):
-            raise NotServedError(module, name)
+            raise _NotServedError(module, name)
         if module.startswith("gym"):
             return getattr(import_module(module.replace("gym", "gymnasium", 1)), name)
-        raise NotServedError(module, name)
+        raise _NotServedError(module, name)
 
     return get
 

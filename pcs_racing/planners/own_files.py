@@ -33,11 +33,11 @@ _CLOCKS = ("time", "monotonic", "perf_counter", "process_time", "thread_time")
 _OURS = {"pcs_racing", "pcs_racing_agents"}
 _ENDS = (".py", os.sep)  # of a module or package in a folder
 
-_files: dict[Path, "OwnFile"] = {}
+_files: dict[Path, "_OwnFile"] = {}
 _lock = RLock()  # held while a file's code runs: it has the modules and generators of the process
 
 
-class OwnFile:
+class _OwnFile:
     """A Python file with the modules of its folder, and of folders that it adds to ``sys.path``."""
 
     def __init__(self, path: Path) -> None:
@@ -163,12 +163,12 @@ def _exchanged(states: list[Any]) -> list[Any]:
     return former
 
 
-def own_file(path: str | Path) -> OwnFile:
+def own_file(path: str | Path) -> _OwnFile:
     """Return a Python file, imported at its first use in this process."""
     place = Path(check_path("a Python file", path)).resolve()
     with _lock:
         if place not in _files:
-            _files[place] = OwnFile(place)
+            _files[place] = _OwnFile(place)
         return _files[place]
 
 

@@ -66,7 +66,7 @@ class PolicyTraits(NamedTuple):
     squash: bool  #: True for ``squash_output``.
 
 
-class ObservationScale(NamedTuple):
+class _ObservationScale(NamedTuple):
     """Scale of observations by ``VecNormalize`` at the end of a training."""
 
     mean: NDArray[np.float64]  #: shape (D,): Mean of the observations.
@@ -90,7 +90,7 @@ class Sb3Policy:
     activation: str  #: Activation function, one of :data:`ACTIVATIONS`.
     moves: bool  #: True if the outputs are the logits of moves.
     squash: bool = False  #: True if a tanh follows the last layer.
-    scale: ObservationScale | None = None  #: Scale of the observations, if any.
+    scale: _ObservationScale | None = None  #: Scale of the observations, if any.
 
     @property
     def content_hash(self) -> str:
@@ -322,7 +322,7 @@ def scaler_of(env: Any) -> Any:
     return env if env is not None and env.norm_obs else None
 
 
-def _scale_of(env: Any) -> ObservationScale | None:
+def _scale_of(env: Any) -> _ObservationScale | None:
     scaler = scaler_of(env)
     if scaler is None:
         return None
@@ -330,13 +330,13 @@ def _scale_of(env: Any) -> ObservationScale | None:
     mean, spread = seen.mean, np.sqrt(seen.var + scaler.epsilon)
     # Rounded to float32, as in a file of weights.
     mean, spread = (np.asarray(one, np.float32).astype(np.float64) for one in (mean, spread))
-    return ObservationScale(mean, spread, float(scaler.clip_obs))
+    return _ObservationScale(mean, spread, float(scaler.clip_obs))
 
 
-def _read_scale(file: Path, given: Any, size: int) -> ObservationScale:
+def _read_scale(file: Path, given: Any, size: int) -> _ObservationScale:
     """Return the scale in a file, for observations of ``size`` numbers."""
     try:
-        mean, spread, clip = (np.array(given[key], np.float64) for key in ObservationScale._fields)
+        mean, spread, clip = (np.array(given[key], np.float64) for key in _ObservationScale._fields)
     except (KeyError, IndexError, TypeError, ValueError):
         mean = spread = clip = np.empty(0)
     right = mean.shape == spread.shape == (size,) and clip.shape == () and clip > 0.0
@@ -345,7 +345,7 @@ def _read_scale(file: Path, given: Any, size: int) -> ObservationScale:
             f"{file}: scale must hold mean and spread, {size} numbers each below 1e9, spreads above"
             " 1e-9, and a clip above 0"
         )
-    return ObservationScale(mean, spread, float(clip))
+    return _ObservationScale(mean, spread, float(clip))
 
 
 def save_model(path: str | Path, model: Any) -> Path:

@@ -86,7 +86,7 @@ def common_identity(games: Sequence[RaceGame]) -> GameIdentity:
     return identity
 
 
-class Branches(NamedTuple):
+class _Branches(NamedTuple):
     """Outcomes of every move in R games that were running at the branching step."""
 
     observations: NDArray[np.float32]  #: shape (R, D): Observations of car 0.
@@ -112,7 +112,7 @@ def branch_games(
     continuation: Competitor,
     payoff: str = "win",
     count: int | None = None,
-) -> Branches:
+) -> _Branches:
     """Play games up to a step, branch them into all moves, and play all branches to their end.
 
     Parameters
@@ -160,7 +160,7 @@ def branch_games(
     while not game.done(state).all():
         moves = ask_moves(continuation, game, state, 0)
         state = game.step(state, np.stack([moves, ask_moves(opponent, game, state, 1)], axis=1))
-    return Branches(observations, outcome(game, state, payoff)[branch], running)
+    return _Branches(observations, outcome(game, state, payoff)[branch], running)
 
 
 def _different_branches(

@@ -227,7 +227,7 @@ def league_callback(league: League) -> Any:
     require("stable_baselines3", extra="learning")
     from stable_baselines3.common.callbacks import BaseCallback
 
-    class LeagueCallback(BaseCallback):
+    class _LeagueCallback(BaseCallback):
         """Count the races against each opponent, and set the weights of the draw."""
 
         def __init__(self) -> None:
@@ -253,4 +253,4 @@ def league_callback(league: League) -> Any:
             for member in self.league.members:
                 self.logger.record(f"league/won against {member.name}", member.won_share)
 
-    return LeagueCallback()
+    return _LeagueCallback()

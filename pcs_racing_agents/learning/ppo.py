@@ -229,7 +229,7 @@ def _train_seed(
     policies: list[DenseLayers] = []
     scores: list[NDArray[np.float64]] = []
 
-    class Evaluations(BaseCallback):
+    class _Evaluations(BaseCallback):
         """Races before the first update, after every interval of steps, and at the end."""
 
         def _on_step(self) -> bool:
@@ -268,7 +268,7 @@ def _train_seed(
         )
         model.set_logger(Logger(None, []))  # the default one makes a folder
         try:
-            model.learn(settings.steps, callback=Evaluations(), log_interval=None)  # type: ignore[arg-type]
+            model.learn(settings.steps, callback=_Evaluations(), log_interval=None)  # type: ignore[arg-type]
         except ValueError:  # torch's distributions refuse NaN
             if all(torch.isfinite(one).all() for one in model.policy.parameters()):
                 raise

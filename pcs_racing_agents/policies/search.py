@@ -52,18 +52,18 @@ PATIENCE = 10  # generations
 MIN_GAIN = 1e-5  # normalised hypervolume per generation
 
 
-class Front(NamedTuple):
+class _Front(NamedTuple):
     """Pareto front of the archive, in the order of discovery; of equal points the first."""
 
     unit: Floats  #: shape (K, P): Parameters in the unit cube.
     parameters: Floats  #: shape (K, P)
     objectives: Floats  #: shape (K, G)
 
-    def joined(self, points: "Front") -> "Front":
+    def joined(self, points: "_Front") -> "_Front":
         """Return the front of both sets of points."""
         both = [np.concatenate(arrays) for arrays in zip(self, points, strict=True)]
         kept = non_dominated(both[2])
-        return Front(*(array[kept] for array in both))
+        return _Front(*(array[kept] for array in both))
 
 
 class Search:
@@ -103,7 +103,7 @@ class Search:
         self._es = self._started(mean, self._step_size)
         self._asked = np.zeros((0, len(self._low)))
         # The number of axes follows from the first results.
-        self._front = Front(self._asked, self._asked, np.zeros((0, 0)))
+        self._front = _Front(self._asked, self._asked, np.zeros((0, 0)))
         self._scale = Scale(np.zeros(0), np.zeros(0))
         self._stalled = 0
         self.generation = 0  #: Number of generations so far.
@@ -210,7 +210,7 @@ class Search:
     ) -> None:
         """Add the feasible points to the archive."""
         feasible = violation <= 0.0
-        points = Front(unit[feasible], parameters[feasible], objectives[feasible])
+        points = _Front(unit[feasible], parameters[feasible], objectives[feasible])
         self._front = self._front.joined(points)
         self.hypervolume = hypervolume(self._scale(self._front.objectives))
 

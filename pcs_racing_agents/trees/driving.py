@@ -39,7 +39,7 @@ UNKNOWN, CRASHES = -1, -2
 """Marks of a drive in place of the row where it is known."""
 
 
-class RaceEnds(NamedTuple):
+class _RaceEnds(NamedTuple):
     """Ends of B races: the parts of a :class:`RaceState` that decide the payoff."""
 
     progress: Floats  #: shape (B, 2)
@@ -47,13 +47,13 @@ class RaceEnds(NamedTuple):
     fault: NDArray[np.int8]
 
     @classmethod
-    def empty(cls, races: int) -> "RaceEnds":
+    def empty(cls, races: int) -> "_RaceEnds":
         """Return arrays of zeros for ``races`` races."""
         return cls(
             np.zeros((races, 2)), np.zeros((races, 2), np.int8), np.zeros((races, 2), np.int8)
         )
 
-    def write(self, rows: Indices | slice, ends: "RaceEnds") -> None:
+    def write(self, rows: Indices | slice, ends: "_RaceEnds") -> None:
         """Overwrite some races, in place."""
         self.progress[rows] = ends.progress
         self.crash[rows] = ends.crash
@@ -99,19 +99,19 @@ def drive_children(
 
 def drive_to_the_end(
     game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, trace: bool = False
-) -> tuple[RaceEnds, NDArray[np.float32]]:
+) -> tuple[_RaceEnds, NDArray[np.float32]]:
     """Simulate the last step of the game like :func:`drive_children`, without characteristics.
 
     Returns
     -------
-    ends : RaceEnds
+    ends : _RaceEnds
     trace : ndarray, shape (B, T, 2), float32
         Progress of each car at every plan (every 0.1 s), including the first and the last moment of
         the step; ``T = 0`` without ``trace``.
     """
     ticks = int(np.diff(game.rules.end_ticks)[-1])
     moments = ticks // PLAN_EVERY + 1 if trace else 0
-    ends = RaceEnds.empty(len(rows))
+    ends = _RaceEnds.empty(len(rows))
     traces = np.zeros((len(rows), moments, 2), np.float32)
 
     def drive(chunk: slice) -> None:
@@ -123,7 +123,7 @@ def drive_to_the_end(
                 traces[chunk, moment] = races.progress
         else:
             advance(game.setup, races, theta, ticks, threads=1, ittc=False)
-        ends.write(chunk, RaceEnds(races.progress, races.crash, races.fault))
+        ends.write(chunk, _RaceEnds(races.progress, races.crash, races.fault))
 
     _in_chunks(game, len(rows), drive)
     return ends, traces
@@ -131,14 +131,14 @@ def drive_to_the_end(
 
 def finish(
     game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, share: bool = True
-) -> tuple[RaceEnds, int]:
+) -> tuple[_RaceEnds, int]:
     """Return the ends of the last step of the game, and the number of races driven for them.
 
     ``parents``, ``rows``, ``policies``: as for
     :func:`pcs_racing_agents.trees.driving.drive_children`. ``share``: whether to combine races from
     single drives where that is possible; it does not change the result.
     """
-    ends = RaceEnds.empty(len(rows))
+    ends = _RaceEnds.empty(len(rows))
     apart = _out_of_sight(game, parents.lead) if share else np.zeros(parents.races, np.bool_)
     rest, count = np.flatnonzero(~apart[rows]), 0
     if apart.any():
@@ -155,7 +155,7 @@ def _combine(
     rows: Indices,
     policies: Indices,
     far: Indices,
-    ends: RaceEnds,
+    ends: _RaceEnds,
 ) -> tuple[Indices, int]:
     """Write the ends of the races ``far``, whose cars start out of sight, as far as possible.
 

@@ -54,7 +54,7 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
     # Each request has its own thread, but the service holds shared data of the races.
     content, busy = Answer(200, page.encode(), "text/html; charset=utf-8"), threading.Lock()
 
-    class Handler(BaseHTTPRequestHandler):
+    class _Handler(BaseHTTPRequestHandler):
         """Handler of a viewer's requests, one per connection: no body becomes a next request."""
 
         timeout = 60
@@ -94,7 +94,7 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
         def log_message(self, *_: Any) -> None:
             """Log nothing."""
 
-    class Server(ThreadingHTTPServer):
+    class _Server(ThreadingHTTPServer):
         """Server that does not report disconnected viewers."""
 
         request_queue_size = 128  # max waiting connections; 5 refuses most of 200 at once
@@ -103,6 +103,6 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
             """Ignore a viewer that disconnects during an answer."""
 
     try:
-        return Server(("127.0.0.1", port), Handler)
+        return _Server(("127.0.0.1", port), _Handler)
     except OSError as error:
         raise InputError(f"can't listen on port {port}: {error.strerror}") from None
