@@ -3,8 +3,10 @@ while.
 """
 
 import gc
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -94,22 +96,25 @@ def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> 
     return decorate if function is None else decorate(function)
 
 
+LONG = 5.0  # s: a shorter compilation is announced only
+
 _begun: set[str] = set()
 """Names of the functions that this process has compiled, loaded or waited for."""
 
 
-def first_call(dispatcher: Any, what: str, seconds: int) -> AbstractContextManager[bool]:
+def first_call(dispatcher: Any, what: str, effort: float) -> AbstractContextManager[bool]:
     """Surround the first call of a compiled function: one process compiles it, and the others wait.
 
     Print a line to stderr if the function is neither in memory nor in numba's cache on disk:
-    ``what`` is compiled in about ``seconds`` seconds, or another process compiles it.
+    ``what`` is compiled, in about ``effort`` times the duration of `_compile_sample`, or another
+    process compiles it. A second line tells how long it took if that was over 5 s.
 
     Yield True if the function is about to be compiled. A caller with long work can then call it
     without any work, so that other processes wait for the compilation alone.
     """
     if what in _begun:  # a query of numba costs more than a short race
         return _LATER_CALL
-    return _first_call(dispatcher, what, seconds)
+    return _first_call(dispatcher, what, effort)
 
 
 # One object for all later calls: a one-step race should not make an object each time.
@@ -117,7 +122,7 @@ _LATER_CALL = nullcontext(False)
 
 
 @contextmanager
-def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
+def _first_call(dispatcher: Any, what: str, effort: float) -> Iterator[bool]:
     _begun.add(what)
     # Without compilation (NUMBA_DISABLE_JIT) the dispatcher is an ordinary function.
     if not hasattr(dispatcher, "signatures") or dispatcher.signatures or _on_disk(dispatcher):
@@ -128,14 +133,33 @@ def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
         with suppress(OSError):  # without a writable folder every process compiles
             if kept:
                 _wait_for_turn(turn, dispatcher, what)
+        turn.enter_context(_without_collecting_garbage())
         # Check again: another process may have compiled the function during the wait.
         if not _on_disk(dispatcher):
             say(
-                f"compiling {what} (about {seconds} s,"
+                f"compiling {what} (about {effort * _compile_sample():.0f} s,"
                 f" {'once; it is cached on disk' if kept else 'in each process'})"
             )
-        turn.enter_context(_without_collecting_garbage())
+        begin = time.perf_counter()
         yield True
+        if (took := time.perf_counter() - begin) > LONG:
+            say(f"compiled {what} in {took:.0f} s")
+
+
+@cache
+def _compile_sample() -> float:
+    """Return how long a small function took to compile on this machine, as busy as it is, in s."""
+
+    def sample(x, y):  # type: ignore[no-untyped-def]
+        for _ in range(3):
+            x = x * y + x if x > y else y
+        return x
+
+    njit("f8(f8, f8)")(sample)  # numba's first compilation takes longer
+    begin = time.perf_counter()
+    for kinds in ("f4(f4, f4)", "f8(f8, i8)", "i8(i8, i8)"):
+        njit(kinds)(sample)
+    return (time.perf_counter() - begin) / 3.0
 
 
 @contextmanager

@@ -325,7 +325,8 @@ class DriveBatch:
         ]
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # starts threads on demand
         self._compiled: Callable[..., None] | None = None
-        with first_call(step_races, "the control-level environment", 20) as compiling:
+        effort = 180.0 + 150.0 * bool(planners) + 90.0 * (options.beams > 0)
+        with first_call(step_races, "the control-level environment", effort) as compiling:
             for planner in planners:  # all that may be drawn
                 planner.pointers()
             self._pointers = pointers_of(self._shares(), self.episodes)

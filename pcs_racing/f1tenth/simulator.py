@@ -425,5 +425,5 @@ _advance: Any = None
 
 def _compile(arguments: tuple[Any, ...]) -> None:
     global _advance
-    with first_call(k.advance, "the F1TENTH gym's step", 30):
+    with first_call(k.advance, "the F1TENTH gym's step", 140.0):
         _advance = compiled_for(k.advance, arguments)

@@ -140,7 +140,7 @@ class PolicyOnCar:
         self.path = np.zeros((PATH_POINTS, PATH_COLUMNS))
         self.reset()
         self._theta = policy.parameters.copy()  # writeable, as the compiled functions ask
-        with first_call(_ask, "the policy", 10):
+        with first_call(_ask, "the policy", 190.0):
             self._code = planner.pointers()
 
     def reset(self) -> None:

@@ -1,9 +1,12 @@
 """``pcs-racing compile``: compile the kernels ahead of the first race."""
 
+import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from functools import partial
+from io import StringIO
 from multiprocessing import get_context
 
 import numpy as np
@@ -14,6 +17,7 @@ from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.race.config import load_rules
 from pcs_racing.race.races import draw_starts, run_races
 from pcs_racing.track.loading import load_track
+from pcs_racing_agents.base.jobs import show_progress
 from pcs_racing_agents.cli.commands import command
 
 TRACK = "Pipkin"
@@ -34,16 +38,26 @@ def compile_kernels() -> None:
     The tasks of a row take about the same time and share few functions, since two processes would
     both compile a shared function. Functions of a row may call functions of the rows above.
     """
+    rows: tuple[dict[str, Callable[[], object]], ...] = (
+        {"a circuit": partial(load_track, TRACK), "planners of most races": _planners},
+        {"races": _races, "all other planners": _field},
+        {"environments at the control level": _drives, "random circuits": _circuits},
+        {"the step of the F1TENTH gym": _gym, "solvers of games": _solvers},
+    )
+    show, done, total = show_progress("parts"), 0, sum(map(len, rows))
     # Spawned, not forked: numba's threads do not survive a fork.
-    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        for row in (
-            (partial(load_track, TRACK), _planners),
-            (_races, _field),
-            (_drives, _circuits),
-            (_gym, _solvers),
-        ):
-            for task in [pool.submit(function) for function in row]:
+    with ProcessPoolExecutor(2, get_context("spawn"), _say_nothing) as pool:
+        for row in rows:
+            for task in [pool.submit(function) for function in row.values()]:
+                show(done, total, " and ".join(row))
                 task.result()
+                done += 1
+    show(done, total, "")
+
+
+def _say_nothing() -> None:
+    """Keep the announcements of a process out of the line of progress."""
+    sys.stderr = StringIO()
 
 
 def _planners() -> None:

@@ -94,7 +94,7 @@ def cfr(tree: GameTree, iterations: int, variant: str = "alternating+") -> CFRRe
     state = initial_state(tree, layout)
     last = int(iterations) + 1
     # In chunks: a compiled call can't be interrupted.
-    with first_call(iterate, "counterfactual regret minimisation", 5):
+    with first_call(iterate, "counterfactual regret minimisation", 85.0):
         for begin in range(1, last, CHUNK):
             iterate(layout, state, begin, min(begin + CHUNK, last), *VARIANTS[variant])
     regrets = _copy_out(tree, layout, state.regrets, layout.regret_at)

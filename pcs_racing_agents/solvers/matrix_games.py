@@ -71,7 +71,7 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     solution = MatrixSolution(
         np.empty(count), np.empty((count, a)), np.empty((count, c)), np.empty(count)
     )
-    with first_call(_solve_games, "the solver of matrix games", 5):
+    with first_call(_solve_games, "the solver of matrix games", 28.0):
         _solve_games(games, *solution)
     low = games.min(axis=(1, 2))
     span = games.max(axis=(1, 2)) - low

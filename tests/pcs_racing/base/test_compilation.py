@@ -40,13 +40,18 @@ def dispatcher(cache: Path | None, signatures: tuple = ()) -> SimpleNamespace:
     )
 
 
-def test_the_first_compilation_is_announced_and_no_other(tmp_path, capsys):
+def test_the_first_compilation_is_announced_and_no_other(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(compilation, "_compile_sample", lambda: 0.5)
+    monkeypatch.setattr(compilation, "LONG", 0.0)
     answers = []
     for _ in range(2):
-        with first_call(dispatcher(tmp_path / "empty"), "the test itself", 7) as compiling:
+        with first_call(dispatcher(tmp_path / "empty"), "the test itself", 14) as compiling:
             answers.append(compiling)
     assert answers == [True, False]
-    told = "pcs-racing: compiling the test itself (about 7 s, once; it is cached on disk)\n"
+    told = (
+        "pcs-racing: compiling the test itself (about 7 s, once; it is cached on disk)\n"
+        "pcs-racing: compiled the test itself in 0 s\n"
+    )
     assert capsys.readouterr().err == told
     with first_call(dispatcher(tmp_path, signatures=("f8",)), "what is in memory", 7) as compiling:
         assert not compiling
@@ -54,7 +59,7 @@ def test_the_first_compilation_is_announced_and_no_other(tmp_path, capsys):
     with first_call(dispatcher(tmp_path), "what is on disk", 7) as compiling:
         assert not compiling
     assert capsys.readouterr().err == ""
-    with first_call(dispatcher(None), "what has no folder", 7) as compiling:
+    with first_call(dispatcher(None), "what has no folder", 14) as compiling:
         assert compiling
     assert "what has no folder (about 7 s, in each process)" in capsys.readouterr().err
 
