@@ -39,7 +39,8 @@ from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.duel import DuelEnv
 name, track = sys.argv[1:]
 drive = name == "drive"
-env = DriveEnv(track, opponent="pure-pursuit", time_step=0.02) if drive else DuelEnv(track)
+own = {"opponent": "pure-pursuit", "time_step": 0.02}
+env = DriveEnv(track=track, **own) if drive else DuelEnv(track=track)
 steps, hold = 1000 if drive else 60, np.array([0.0, -0.75], np.float32)
 def run():
     env.reset(seed=0)

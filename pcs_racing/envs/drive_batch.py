@@ -501,7 +501,7 @@ class DriveBatch:
         try:
             if np.iscomplexobj(actions):
                 raise TypeError  # numpy would drop the imaginary part
-            values = np.asarray(actions, dtype=np.float64)
+            values = np.array(actions, dtype=np.float64, order="C")
         except (TypeError, ValueError) as error:
             raise InputError(
                 f"action {actions!r:.80} must be numbers of shape {wanted}: steering and speed"
@@ -511,7 +511,7 @@ class DriveBatch:
                 f"action has shape {values.shape}; it must be {wanted}: steering and speed in"
                 " [-1, 1]"
             )
-        values = np.ascontiguousarray(values.reshape(self.episodes, self.players, 2))
+        values = values.reshape(self.episodes, self.players, 2)
         if not all_finite(values):
             rows = values.reshape(-1, 2)
             i = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
@@ -561,8 +561,17 @@ class DriveBatch:
             rewards[rows] += float(self.options.win_reward) * won
 
     def _orders(self, actions: NDArray[np.float64], ticks: int) -> Orders:
-        own = self._advance, self._observe, self._crew, self._eyes, self._rows
-        return Orders(*own, ticks, actions, self.rules.limits, self.rules.terms)
+        return Orders(
+            self._advance,
+            self._observe,
+            self._crew,
+            self._eyes,
+            self._rows,
+            ticks,
+            actions,
+            self.rules.limits,
+            self.rules.terms,
+        )
 
     def _results(self) -> StepResults:
         count = self.episodes * self.players
@@ -644,7 +653,7 @@ class DriveBatch:
         info = race_info(self.state, race, car, blamed)
         over = (
             any(self.state.crash[race].tolist())
-            or self.state.tick.item(race) >= self.setup.rules.ticks
+            or self.state.tick.item(race) >= self._inputs[race].settings.end_tick
         )
         if (laps := self.setup.rules.laps) is not None:
             over = over or self.state.laps[race, :, LAPS].max() >= laps
@@ -656,7 +665,8 @@ class DriveBatch:
             if car == 0
             else np.concatenate([cars[car : car + 1], np.delete(cars, car, axis=0)])
         )
-        return info | self.randomization.info(race, car)
+        info |= self.randomization.info(race, car)
+        return info
 
     def draw(self, renderer: "Renderer", environment: int) -> NDArray[np.uint8] | None:
         """Draw the current state of a race."""
