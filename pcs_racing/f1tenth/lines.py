@@ -153,8 +153,6 @@ class Track:
     """Map with its lines; a missing line is ``None``."""
 
     spec: TrackSpec
-    filepath: str | None
-    ext: str | None
     occupancy_map: Floats  #: Free cells as 255, others as 0; float32, row 0 at the bottom.
     centerline: Raceline | None
     raceline: Raceline | None
@@ -184,10 +182,7 @@ class Track:
             race = Raceline.from_columns(
                 np.stack([s, *line[:, [0, 1, PSI, KAPPA, SPEED]].T, 0.0 * s], axis=1)
             )
-        path, ending = loaded.picture.with_suffix(""), loaded.picture.suffix
-        return cls(
-            spec, str(path), ending, _levels(loaded.free), center or race, race or center, loaded
-        )
+        return cls(spec, _levels(loaded.free), center or race, race or center, loaded)
 
     from_track_path = from_track_name
 
@@ -215,8 +210,6 @@ class Track:
         )
         return cls(
             TrackSpec(None, None, CELL, (x0, y0, 0.0)),
-            None,
-            None,
             _levels(free),
             line,
             line,

@@ -172,13 +172,6 @@ class SyncVectorEnv(gymnasium.Env[Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
-    def seed(self, seeds: Any = None) -> None:
-        """Seed the environments with a list of seeds, or with one seed and its successors."""
-        if not isinstance(seeds, list):
-            seeds = [None if seeds is None else seeds + i for i in range(self.num_envs)]
-        for env, seed in zip(self.envs, seeds, strict=True):
-            env.seed(seed)
-
     def reset(self, *args: Any, **named: Any) -> Any:
         """Begin an episode in all environments."""
         return self._together([_observed(env.reset(*args, **named)) for env in self.envs])
@@ -201,16 +194,6 @@ class SyncVectorEnv(gymnasium.Env[Any, Any]):
     def _together(self, observations: Sequence[Any]) -> Any:
         out: Any = create_empty_array(self.single_observation_space, self.num_envs)
         return concatenate(self.single_observation_space, observations, out)
-
-
-def make_vector(
-    id: str,  # noqa: A002
-    num_envs: int = 1,
-    asynchronous: bool = True,
-    **named: Any,
-) -> SyncVectorEnv:
-    """Make several environments of one name, stepped together."""
-    return SyncVectorEnv([partial(gymnasium.make, id, **named)] * num_envs)
 
 
 def _observed(answer: Any) -> Any:

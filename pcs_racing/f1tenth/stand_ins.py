@@ -65,10 +65,7 @@ def _contents() -> dict[str, dict[str, Any]]:
     track = {"find_track_dir": lambda name: find_yaml(name).parent, "FEATURES": FEATURES}
     shared = "Env Space make register spaces logger"
     gym = {name: getattr(gymnasium, name) for name in shared.split()}
-    vector = {
-        "make": old_gym.make_vector,
-        **dict.fromkeys(("SyncVectorEnv", "AsyncVectorEnv"), old_gym.SyncVectorEnv),
-    }
+    vector = dict.fromkeys(("SyncVectorEnv", "AsyncVectorEnv"), old_gym.SyncVectorEnv)
     gym |= old_gym.WRAPPERS
     wrappers = [f"gym.wrappers.{name}" for name in old_gym.MODULES.split()]
     own = ("gym.spaces", "gym.error", "gym.utils", "gym.utils.seeding", "gym.envs.registration")
@@ -169,9 +166,7 @@ def _missing(module: str) -> Any:
     def get(name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        if module.startswith("gym.wrappers"):
-            raise _NotServedError(module, name)
-        if module.startswith("gym"):
+        if module.startswith("gym") and not module.startswith("gym.wrappers"):
             return getattr(import_module(module.replace("gym", "gymnasium", 1)), name)
         raise _NotServedError(module, name)
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError, one_line
 from pcs_racing.planners.imported import drivers_from, is_driver, object_policy
-from pcs_racing.planners.own_files import run_file
+from pcs_racing.planners.own_files import own_file
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import Racer, Reader, Request, racer, renamed
 from pcs_racing.planners.shipped import split_name
@@ -52,7 +52,7 @@ def read_code(request: Request) -> Racer | None:
 def _made(place: str, name: str, request: Request) -> Any:
     """Return the object with a name in a file or a module."""
     file = place.endswith(".py")
-    module = run_file(place) if file else _imported(place)
+    module = own_file(place).module if file else _imported(place)
     made: Any = getattr(module, name, None)
     if made is None:
         raise InputError(f"{place} has no class and no function {name!r}")

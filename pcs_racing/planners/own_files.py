@@ -172,11 +172,6 @@ def own_file(path: str | Path) -> _OwnFile:
         return _files[place]
 
 
-def run_file(path: str | Path) -> ModuleType:
-    """Import a Python file, once per process, and return it as a module."""
-    return own_file(path).module
-
-
 def files_run() -> list[str]:
     """Return the files imported in this process.
 

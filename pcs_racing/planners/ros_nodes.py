@@ -82,7 +82,7 @@ class Node:
     def __getattr__(self, name: str) -> Any:
         """Return an object that does nothing, in place of a node's other methods."""
         if not name.startswith(
-            ("add_", "count_", "create_", "destroy_", "get_", "remove_", "resolve_")
+            ("add_", "count_", "create_", "destroy_", "get_", "remove_", "resolve_", "set_")
         ):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return Free()
@@ -129,10 +129,6 @@ class Node:
     def get_parameter(self, name: str) -> Any:
         """Return a parameter; an undeclared parameter has no value."""
         return self._in_race.parameters.get(name, _parameter(name))
-
-    def set_parameters(self, parameters: Any) -> None:
-        """Change parameters."""
-        self._in_race.parameters.update((one.name, one) for one in parameters)
 
     def get_clock(self) -> Any:
         """Return the clock of the race."""

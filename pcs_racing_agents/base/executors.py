@@ -28,7 +28,7 @@ from pickle import dumps, loads
 from typing import Any, TypeVar, cast
 
 from pcs_racing.base.errors import InputError, check_whole, require
-from pcs_racing.planners.own_files import files_run, run_file
+from pcs_racing.planners.own_files import files_run, own_file
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.base.folders import JobError
 
@@ -158,7 +158,7 @@ def _run_files(files: Sequence[str]) -> None:
     for file in files:
         # of a file that is gone or fails here, the task that needs it reports the error
         with suppress(InputError):
-            run_file(file)
+            own_file(file)
 
 
 def _end_with(sentinel: int) -> None:

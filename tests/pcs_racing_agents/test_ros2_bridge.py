@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import yaml
+from refusal import refused
 from repository import REPOSITORY
 
 from pcs_racing import load_track
@@ -406,8 +407,7 @@ def test_the_steering_angle_follows_the_command_to_stop(ros):
 def test_bad_parameters_are_refused(ros, lidar_ppo, tmp_path, monkeypatch, parameters, said):
     monkeypatch.chdir(tmp_path)
     export_onnx(list_networks()[0], "network.onnx")
-    with pytest.raises(ValueError, match=said):
-        ros("planning").Planning(**parameters)
+    refused(said, ros("planning").Planning, error=ValueError, **parameters)
 
 
 @pytest.mark.parametrize(
@@ -436,8 +436,7 @@ def test_a_file_is_checked_before_the_first_command(ros, lidar_ppo, tmp_path, ch
     about["inputs"]["ranges"] |= change.pop("ranges", {})
     onnx.helper.set_model_props(model, {"pcs_racing": json.dumps(about | change)})
     onnx.save(model, tmp_path / "other.onnx")
-    with pytest.raises(ValueError, match=said):
-        ros("planning").Planning(str(tmp_path / "other.onnx"))
+    refused(said, ros("planning").Planning, str(tmp_path / "other.onnx"), error=ValueError)
 
 
 @pytest.fixture

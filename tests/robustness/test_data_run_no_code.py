@@ -424,7 +424,7 @@ def test_every_reader_of_files_has_a_row():
 
 def test_code_is_run_for_words_of_the_command_line_alone():
     """Any other text that runs code must be added here, where a reader sees it."""
-    doors = {"own_file", "run_file", "driver_classes", "drivers_from"}
+    doors = {"own_file", "driver_classes", "drivers_from"}
     found: dict[str, set[str]] = {}
     for file, _, name, node in calls():
         allowed = [ast.unparse(word.value) for word in node.keywords if word.arg == "code"]
@@ -432,10 +432,9 @@ def test_code_is_run_for_words_of_the_command_line_alone():
             found.setdefault(file, set()).add(" ".join([name, *allowed]))
     assert found == {
         "pcs_racing/planners/imported.py": {"own_file", "driver_classes"},  # the doors themselves
-        "pcs_racing/planners/own_code.py": {"drivers_from", "run_file"},
-        "pcs_racing/planners/own_files.py": {"own_file"},
+        "pcs_racing/planners/own_code.py": {"drivers_from", "own_file"},
         "pcs_racing/planners/racers.py": {"racer code"},
-        "pcs_racing_agents/base/executors.py": {"run_file"},  # of code that already ran
+        "pcs_racing_agents/base/executors.py": {"own_file"},  # of code that already ran
         "pcs_racing_agents/cli/agents.py": {"drivers_from"},
         "pcs_racing_agents/cli/train.py": {"competitor True"},
         "pcs_racing_agents/cli/race.py": {"policy_racer True"},

@@ -45,10 +45,13 @@ def test_texts_flags_paths_seeds_and_names_that_resemble():
         refused(r"^it (is|are) ", check, "it", odd)
     refused("seed is -1", errors.check_seed, -1)
     assert errors.check_choice("kind", "map", ("map", "kdpp")) == "map"
-    with pytest.raises(
-        InputError, match=r"kind is 'mpa'; it must be one of map, kdpp \(did you mean 'map'\?\)"
-    ):
-        errors.check_choice("kind", "mpa", ("map", "kdpp"))
+    refused(
+        r"kind is 'mpa'; it must be one of map, kdpp \(did you mean 'map'\?\)",
+        errors.check_choice,
+        "kind",
+        "mpa",
+        ("map", "kdpp"),
+    )
     for odd in (None, 3, ["map"], "lattice"):
         refused(
             r"one of map, kdpp$",
@@ -78,8 +81,15 @@ def test_arrays_of_whole_numbers():
         (2,),
         (4, 2),
     )
-    with pytest.raises(InputError, match=r"^n holds -1 at \(0, 1\); .* from 0 to 5"):
-        errors.check_whole_array("n", [[1, -1]], (1, 2), minimum=0, maximum=5)
+    refused(
+        r"^n holds -1 at \(0, 1\); .* from 0 to 5",
+        errors.check_whole_array,
+        "n",
+        [[1, -1]],
+        (1, 2),
+        minimum=0,
+        maximum=5,
+    )
     refused(r"^n is 6; .* up to 5", errors.check_whole_array, "n", 6, maximum=5)
 
 

@@ -117,8 +117,15 @@ def test_wrong_values_are_refused_and_options_come_from_the_declaration():
         refused(f"^{key} (is|are|holds) ", Soup, error=ConfigError, **{key: value})
     unknown = "soup settings 'borscht' are unknown"
     refused(unknown, loading.load_settings, "soup", Soup(), "borscht", error=UnknownNameError)
-    with pytest.raises(UnknownNameError, match="did you mean 'salty'"):
-        loading.load_settings("soup", Soup(), "slaty", {"salty": Soup(1.0)})
+    refused(
+        "did you mean 'salty'",
+        loading.load_settings,
+        "soup",
+        Soup(),
+        "slaty",
+        {"salty": Soup(1.0)},
+        error=UnknownNameError,
+    )
     refused(
         r"the arguments: .*'pepper'",
         loading.load_settings,

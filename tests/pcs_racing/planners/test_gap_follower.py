@@ -66,18 +66,6 @@ def test_a_post_blocks_what_its_bubble_covers_and_the_middle_of_the_widest_gap_i
     assert angle == pytest.approx(0.0, abs=1e-9)
 
 
-def test_it_leans_away_from_what_is_beside_it():
-    ranges = np.full(gaps.BEAMS, 5.0)
-    assert gaps.lean(ranges, 1.0) == 0.0
-    ranges[3] = 0.5  # the first beams point to the right
-    assert gaps.lean(ranges, 1.0) > 0.0
-    assert gaps.lean(ranges, 0.4) == 0.0
-    ranges[-4] = 0.3
-    assert gaps.lean(ranges, 1.0) < 0.0
-    ranges[gaps.BEAMS // 2] = 0.1  # straight ahead is not at the side
-    assert gaps.lean(ranges, 0.25) == 0.0
-
-
 def test_it_sees_what_the_lidar_sees(oval, view_at):
     lidar = Lidar(oval, beams=gaps.BEAMS, fov=gaps.FIELD_OF_VIEW, max_range=gaps.MAX_RANGE)
     view = view_at(oval, 3.0, 0.2, turned=0.1, gap=1.5, opp_d=-0.3)

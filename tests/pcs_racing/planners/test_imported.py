@@ -13,7 +13,7 @@ from refusal import refused
 from pcs_racing import CONTEST, load_track, racer, run_races
 from pcs_racing.planners import registry
 from pcs_racing.planners.imported import drivers_from, object_policy
-from pcs_racing.planners.own_files import run_file
+from pcs_racing.planners.own_files import own_file
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import Rules
@@ -91,7 +91,7 @@ def test_all_forms_drive_and_every_race_has_its_own_driver(folder):
     drivers = drivers_from(file)
     assert list(drivers) == ["Farthest", "Counts", "Plans"]
     names = ["Farthest", "Counts", "Counts", "Plans"]
-    copied = object_policy(vars(run_file(file))["Counts"]())
+    copied = object_policy(vars(own_file(file).module)["Counts"]())
     egos = [*map(drivers.__getitem__, names)]
     config = Rules(duration=4.0, start="rolling", start_gap=20.0, start_spacing=0.0)
     starts = Starts(np.full(4, 20.0), np.ones(4, np.int64))
@@ -146,7 +146,7 @@ def test_two_files_with_modules_of_one_name_stay_apart(top, lazy, speed, beside,
 
 
 def test_a_class_beside_a_file_is_found_again_by_its_name(folder):
-    module = run_file(written(folder, "from model import Agent", model="class Agent: pass"))
+    module = own_file(written(folder, "from model import Agent", model="class Agent: pass")).module
     assert pickle.loads(pickle.dumps(module.Agent)) is module.Agent
 
 

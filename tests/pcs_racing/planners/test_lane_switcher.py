@@ -8,7 +8,7 @@ from pcs_racing.planners import lane_switcher as switcher
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.line import WALL_MARGIN
-from pcs_racing.planners.view import PATH_POINTS, SPEED_HIGH
+from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.race.config import Rules
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.frenet import LEFT, RIGHT
@@ -103,46 +103,6 @@ def test_it_changes_lanes_where_it_is_blocked_and_closes_up_no_faster_than_it_cr
         changing,
     )
     assert across[switcher._MAX_SPEED] < 0.0
-
-
-def test_its_speed_is_a_share_of_the_fastest_and_less_on_the_overtaking_lane(oval, view_at):
-    alone = decide(oval, view_at(oval, STRAIGHT))
-    across = decide(oval, view_at(oval, STRAIGHT, 0.6, gap=2.0, opp_speed=2.0))
-    assert across[switcher._LANE] == switcher.OVERTAKING
-    (_, fast), (_, slow) = (
-        command(oval, view_at(oval, STRAIGHT, speed=0.0), memory)[0] for memory in (alone, across)
-    )
-    assert slow == pytest.approx(0.6 * fast)
-    view = view_at(oval, STRAIGHT, speed=0.0)
-    memory = decide(oval, view)
-    fast = command(oval, view, memory)[0][1]
-    view[SPEED_HIGH] *= 0.5
-    assert command(oval, view, memory)[0][1] == pytest.approx(0.5 * fast)
-
-
-def test_it_stays_on_the_race_line_when_nobody_blocks_it(oval, view_at):
-    for what, view in [
-        ("beside the line", {"gap": 2.0, "opp_d": 0.6}),
-        ("too far ahead", {"gap": 6.0}),
-        ("behind", {"gap": -2.0}),
-    ]:
-        memory = decide(oval, view_at(oval, STRAIGHT, opp_speed=2.0, **view))
-        assert memory[switcher._LANE] == switcher.RACE_LINE, what
-        assert memory[switcher._MAX_SPEED] < 0.0
-
-
-def test_it_follows_in_corners_and_where_both_lanes_are_blocked(oval, view_at):
-    view = view_at(oval, STRAIGHT, gap=2.0, opp_d=0.35, opp_speed=2.0)
-    wide = decide(oval, view, parameters={"blocking_distance": 0.6})
-    assert wide[switcher._LANE] == switcher.RACE_LINE
-    assert wide[switcher._MAX_SPEED] == pytest.approx(1.6)
-    track = load_track("Kestrelheim")
-    corner = float(np.argmax(np.abs(track.line[:, 5])) * track.arrays.ds)
-    view = view_at(track, corner - 2.0, gap=1.5, opp_speed=2.0)
-    memory = decide(track, view)
-    assert memory[switcher._LANE] == switcher.RACE_LINE
-    assert memory[switcher._MAX_SPEED] == pytest.approx(0.8 * 2.0)
-    assert command(track, view, memory)[0][1] <= max(1.6, view[4] - 0.55) + 1e-9
 
 
 def test_it_returns_when_the_race_line_was_free_long_enough_and_not_into_a_car(oval, view_at):

@@ -34,11 +34,12 @@ def test_planners_are_found_by_their_names_and_others_are_pickled_whole():
     refused("planner 'mine' already", register_planner, Planner("mine", (PACE,), memory_size=1))
     refused("planner 'lattice' already", register_planner, Planner("lattice", ()))
     refused("planner 'lattice' already", register_planner, "somewhere.else:LATTICE", name="lattice")
-    with pytest.raises(
-        UnknownNameError,
-        match=r"planner 'latice' is unknown; did you mean 'lattice'\? there are: .*",
-    ):
-        get_planner("latice")
+    refused(
+        r"planner 'latice' is unknown; did you mean 'lattice'\? there are: .*",
+        get_planner,
+        "latice",
+        error=UnknownNameError,
+    )
     for name, place in registry.SHIPPED.items():
         assert get_planner(name).name == name
         assert get_planner(name) is resolve_name(place)

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from itertools import repeat
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from refusal import refused
 from pcs_racing import run_races
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.envs.random_circuits import RandomCircuits, _calibration, random_circuit
-from pcs_racing.race import calibrating, start_places
+from pcs_racing.race import start_places
 from pcs_racing.race.calibrating import (
     FRICTION_SCALE,
     SCALES,
@@ -181,26 +180,6 @@ def test_another_kind_of_start_is_tried_out_by_driving(tmp_path, monkeypatch, ov
     assert capsys.readouterr().err == ""
 
 
-def test_the_scale_of_a_hazard_lies_between_those_that_were_driven():
-    scales = np.array([0.6, 0.7, 0.8, 0.9])
-    for hazard, level, scale in [
-        ([0.0, 0.1, 0.5, 0.5], 0.3, 0.75),
-        ([0.0, 0.1, 0.5, 0.9], 0.5, 0.8),
-        ([0.0, 0.0, 0.4, 0.4], 0.1, 0.725),
-        ([0.0, 0.0, 0.1, 0.2], 0.2, 0.9),
-    ]:
-        assert calibrating._crossing(scales, np.array(hazard), level) == pytest.approx(scale)
-
-
-def test_distances_across_the_track_are_tried_the_nearest_first():
-    for rules, expected in [
-        (PAPER, [0.9, 1.0, 0.8, 1.1, 0.7, 1.2, 0.6, 1.3, 0.5]),
-        (replace(PAPER, start_spacing=0.45), [0.45, 0.55, 0.65, 0.75, 0.85]),
-        (replace(CONTEST, start_spacing=0.25), [0.25, 0.35, 0.15, 0.45, 0.05, 0.55, 0.65]),
-    ]:
-        assert calibrating._spacings(rules) == expected
-
-
 def test_a_report_is_a_table():
     places = {"left": ((0.0, 1.5),), "right": ((2.0, 2.0), (4.0, 4.5))}
     report = CalibrationReport(
@@ -306,18 +285,7 @@ def test_stretches_hold_the_places_that_are_fit_and_training_and_tests_share_the
     np.testing.assert_array_equal(split_places(places, "test"), places[::2])
 
 
-def test_where_the_left_gains_more_it_gets_fewer_lines_and_none_where_cars_do_not_fit(oval):
-    gains = [
-        (0.2, -0.1, 0.33),
-        (0.1, -0.3, 0.75),
-        (0.1, -0.1, 0.5),
-        (0.1, 0.3, 1.0),
-        (-0.2, -0.1, 0.0),
-    ]
-    for left, right, share in gains:
-        assert start_places._left_share(left, right) == share
-        if left * right < 0.0:
-            assert share * left + (1.0 - share) * right == pytest.approx(0.0, abs=0.005)
+def test_a_spacing_at_which_no_cars_fit_is_refused(oval):
     settings = kernel_settings(PAPER, (0.8, 1.0))
     assert (drive_away(oval, PAPER, settings, 2.2)[0] == 1.0).all()
     refused(
@@ -328,26 +296,6 @@ def test_where_the_left_gains_more_it_gets_fewer_lines_and_none_where_cars_do_no
         settings,
         [2.2],
     )
-
-
-def test_a_side_gains_what_it_wins_of_whole_races_from_some_of_its_places(oval, monkeypatch):
-    """From 30 places at most, spread over all; races that ended in a crash do not count."""
-    asked, crashed = [], np.array([False, False, True, False])
-
-    def race(track, config, settings, spacing, places, pairs, key):
-        asked.append((spacing, places.tolist(), len(pairs), key))
-        return SimpleNamespace(crashed=crashed), np.array([3.0, -1.0, 5.0, 2.0])
-
-    monkeypatch.setattr(start_places, "_race_from", race)
-    gains = [
-        start_places._gain(oval, PAPER, None, 0.9, stretches)
-        for stretches in (((0.0, 19.5),), ((2.0, 4.0),))
-    ]
-    crashed[:] = True
-    assert start_places._gain(oval, PAPER, None, 0.9, ((2.0, 4.0),)) == 0.0
-    assert gains == pytest.approx([2 / 3 - 0.5] * 2)
-    some = (0.5 * np.linspace(0, 39, 30).astype(int)).tolist()
-    assert asked == [(0.9, places, 8, 0) for places in (some, *[[2.0, 2.5, 3.0, 3.5, 4.0]] * 2)]
 
 
 def test_more_crashes_are_allowed_only_where_places_are_few(oval, pretend):

@@ -6,6 +6,7 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 import pytest
+from refusal import refused
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
@@ -63,8 +64,7 @@ def test_a_missing_repository_and_another_format_are_one_line(hub):
     other.mkdir(parents=True)
     (other / "manifest.yaml").write_text("format: pcs-racing fit\n")
     asked.clear()
-    with pytest.raises(InputError, match=r"is a folder of 'fit'; it must be of archive, network"):
-        load_from_hub("somebody/fit")
+    refused(r"is a folder of 'fit'; it must be of archive, network", load_from_hub, "somebody/fit")
     assert asked == [["manifest.yaml"]]  # its large files stay on the hub
 
 
@@ -76,7 +76,10 @@ def test_a_missing_repository_and_another_format_are_one_line(hub):
     ],
 )
 def test_a_name_that_is_no_repository_is_refused(hub, name):
-    with pytest.raises(InputError, match="must be 'owner/name'"):
-        load_from_hub(name)
-    with pytest.raises(InputError, match="must be a branch, a tag or a commit"):
-        load_from_hub("somebody/model", revision="../../model" if name is None else f"{name}/..")
+    refused("must be 'owner/name'", load_from_hub, name)
+    refused(
+        "must be a branch, a tag or a commit",
+        load_from_hub,
+        "somebody/model",
+        revision="../../model" if name is None else f"{name}/..",
+    )

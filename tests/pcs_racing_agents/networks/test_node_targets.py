@@ -224,13 +224,6 @@ def test_rows_can_be_taken_joined_and_split_by_pair():
     refused("weights of 0", split_by_pair, rows(pairs=2, weights=np.arange(12) % 2 + 0.0), 0.5, 0)
 
 
-@given(st.integers(0, 200), st.integers(0, 200), st.integers(0, 200), st.integers(0, 200))
-def test_pair_numbers_are_those_of_unordered_pairs(a, b, c, d):
-    same = {a, b} == {c, d} and sorted((a, b)) == sorted((c, d))
-    assert (pair_number([a, b]) == pair_number([c, d])) == same
-    assert pair_number([[a, b], [c, d]]).tolist() == [pair_number([a, b]), pair_number([c, d])]
-
-
 @given(st.integers(2, 30), st.floats(0.01, 0.9), st.integers(0, 1000))
 def test_no_pair_is_on_both_sides_of_the_split(pairs, share, seed):
     made = rows(count=90, pairs=pairs)

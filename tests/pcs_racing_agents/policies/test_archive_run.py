@@ -15,9 +15,9 @@ from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.policies.archive_report import stated_settings
-from pcs_racing_agents.policies.archive_run import FrontRun, SpreadRun, stage_scenarios, synthesize
+from pcs_racing_agents.policies.archive_run import SpreadRun, stage_scenarios, synthesize
 from pcs_racing_agents.policies.config import FrontConfig, SpreadConfig, load_archive_config
-from pcs_racing_agents.policies.evaluate import Evaluation, race_policies, summarise
+from pcs_racing_agents.policies.evaluate import race_policies, summarise
 from pcs_racing_agents.policies.pareto import Scale, front_layers, hypervolume, non_dominated
 
 pytest.importorskip("cma")
@@ -190,21 +190,6 @@ def test_policies_far_apart_lie_around_the_champion(spread):
     assert final.rivals == (*SPREAD.rivals, settings["champion_1"])
     found = summarise(race_policies((final, archive.parameters)))
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
-
-
-def test_limits_are_violated_by_the_largest_shortfall():
-    """Crashes, the score, and coordinates in units of the initial sample."""
-    corners = np.array([[10.0, 0.0], [0.0, 4.0]])
-    coordinates = np.array([[2.0, 3.0], [2.0, 3.0], [2.0, 3.0], [0.0, 3.0], [2.0, 1.0]])
-    crashes, score = np.array([0.05, 0.3, 0.1, 0.1, 0.1]), np.array([0.6, 0.6, 0.2, 0.5, 0.5])
-    evaluation = Evaluation(coordinates, crashes, coordinates, score)
-    config = replace(TINY, crash_limit=0.19, min_coordinates=(1.0, 2.0))
-    assert config.search_crash_limit == pytest.approx(0.1)
-    front = FrontRun(config, None, None, None)
-    front.searched.append((corners, Evaluation(corners, *[corners[:, 0]] * 3)))
-    assert front.violation(evaluation) == pytest.approx([-0.05, 0.2, 0.0, 0.1, 0.25])
-    spread = SpreadRun(replace(SPREAD, crash_limit=0.1), None, None, None, min_score=0.5)
-    assert spread.violation(evaluation) == pytest.approx([-0.05, 0.2, 0.3, 0.0, 0.0])
 
 
 def test_fixed_parameters_keep_their_values_of_the_start(tmp_path):

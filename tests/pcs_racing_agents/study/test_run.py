@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 import yaml
 from long_jobs import files
+from refusal import refused
 from repository import load_tool
 
-from pcs_racing import InputError
 from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.blind import load_fit, save_fit
@@ -232,8 +232,7 @@ def test_shipped_studies_have_the_baselines_in_their_main_table(name):
 
 def test_a_missing_library_or_track_is_named_before_any_work(tiny, monkeypatch, tmp_path):
     elsewhere = replace(tiny, table=replace(TABLE, tracks=("Nowhere",)))
-    with pytest.raises(InputError, match="Nowhere"):
-        run_study(elsewhere, tmp_path / "x", quiet=True)
+    refused("Nowhere", run_study, elsewhere, tmp_path / "x", quiet=True)
     monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match=r"torch is needed .*\[learning\]"):
         run_study(tiny, tmp_path / "x", quiet=True)
