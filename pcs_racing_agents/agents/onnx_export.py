@@ -1,9 +1,9 @@
-"""ONNX files of policies, planners' networks and agents' networks, for programs without ours.
+"""ONNX files of policies and of planners with a lidar, for programs without ours.
 
 Policies and planners lead from observations or ranges to commands.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.base.artifacts import ArtifactFormat
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.car.tyres import GRAVITY
 from pcs_racing.car.vehicle import F1TENTH
@@ -39,8 +38,6 @@ from pcs_racing_agents.base.onnx_file import (
     layer_steps,
     write_onnx,
 )
-from pcs_racing_agents.networks.network import RegretNetwork
-from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 
 COMMAND = [{"name": "steering angle", "unit": "rad"}, {"name": "speed", "unit": "m/s"}]
 _GRIP = F1TENTH.mu * GRAVITY
@@ -164,18 +161,17 @@ DRAWN = 64
 
 
 def export_onnx(model: Any, path: str | PathLike[str]) -> Path:
-    """Write the network of a policy, a planner or an agent as an ONNX file, and return its path.
+    """Write the network of a policy or a planner as an ONNX file, and return its path.
 
     The command of a policy or planner is a steering angle (rad) and a speed (m/s); ``lidar-ppo``
-    drives the F1TENTH car. An agent makes a move. The file of a model or of an agent's network
-    answers drawn observations as the model or network itself, or it is not written.
+    drives the F1TENTH car. A model of `Duel` makes a move. The file of a model answers drawn
+    observations as the model itself, or it is not written.
 
     Parameters
     ----------
     model : object
-        Name of a planner with a lidar (``"lidar-ppo"``) or of an agent's shipped network, the
-        folder of one, or ``model.zip``; a Stable-Baselines3 model with an MlpPolicy, its policy
-        (:func:`pcs_racing.racer`), or a :class:`RegretNetwork`.
+        Name of a planner with a lidar (``"lidar-ppo"``) or its folder, or ``model.zip``; a
+        Stable-Baselines3 model with an MlpPolicy, or its policy (:func:`pcs_racing.racer`).
     path : str or path
         File to write, ``NAME.onnx``.
     """
@@ -185,8 +181,6 @@ def export_onnx(model: Any, path: str | PathLike[str]) -> Path:
 
 
 def _exported(model: Any) -> OnnxNetwork:
-    if isinstance(model, RegretNetwork):
-        return _regrets(model)
     if isinstance(model, Policy):
         driver: Any = model.planner.drive
         return _control(driver) if isinstance(driver, ModelDriver) else _named(model.planner.name)
@@ -210,21 +204,19 @@ def _plain(model: Any, name: str) -> Sb3Policy:
 
 
 def _named(name: str) -> OnnxNetwork:
-    """Export the network of a folder, or a shipped network."""
-    places = [(one, place) for place in FORMATS for one in place.shipped_names()]
-    folders = {one: place.shipped / one for one, place in places}
-    exports = {place.noun: export for place, export in FORMATS.items()}
-    shipped = {one: place for one, place in folders.items() if folder_kind(place) in exports}
-    folder = shipped.get(name, Path(name))
+    """Export the network of a planner with a lidar, by its folder or shipped name."""
+    shipped = {one: LIDAR_FORMAT.shipped / one for one in LIDAR_FORMAT.shipped_names()}
+    known = [one for one, place in shipped.items() if folder_kind(place) == LIDAR_FORMAT.noun]
+    folder = shipped[name] if name in known else Path(name)
     found = folder_kind(folder)
     if not found:
-        raise UnknownNameError(f"there is no network {name!r}; {choices(name, sorted(shipped))}")
-    if found not in exports:
-        raise wrong_kind(folder, found, exports)
-    return exports[found](folder)
+        raise UnknownNameError(f"there is no network {name!r}; {choices(name, known)}")
+    if found != LIDAR_FORMAT.noun:
+        raise wrong_kind(folder, found, [LIDAR_FORMAT.noun])
+    return lidar_network(folder)
 
 
-# Models of Stable-Baselines3, and networks of agents
+# Models of Stable-Baselines3
 
 
 def _standardized(mean: Any, spread: Any, limit: float = np.inf) -> list[Step]:
@@ -269,51 +261,22 @@ def _control(driver: ModelDriver) -> OnnxNetwork:
     return OnnxNetwork(graph, constants, about, {"observation": drawn}, answers)
 
 
-def _chooser(
-    about: tuple[str, Any, Any, Any], steps: Sequence[Step], last: str, drawn: Any, answers: Any
-) -> OnnxNetwork:
-    """Export a network of values of moves; the move has the max value before the last operator.
-
-    ``about`` holds the name, the descriptions of the observation and of the values, and the game of
-    the training, if it is known.
-    """
-    nodes, constants = chain("observation", "raw", steps)
-    moves = len(list(constants.values())[-1])  # biases of the last layer
-    graph = f"""(float[N,{drawn.shape[1]}] observation) => (float[N,{moves}] values, int64[N] move)
+def _moves(plain: Sb3Policy, elements: Sequence[Any], game: Any) -> OnnxNetwork:
+    """Export a model of `Duel`, with the game of its training, if it is known."""
+    size, moves = plain.layers.sizes[0], plain.layers.sizes[-1]
+    nodes, constants = chain("observation", "values", _actor(plain))
+    graph = f"""(float[N,{size}] observation) => (float[N,{moves}] values, int64[N] move)
         {{
         {nodes}
-        values = {last} (raw)
-        move = ArgMax <axis = 1, keepdims = 0> (raw)
+        move = ArgMax <axis = 1, keepdims = 0> (values)
         }}"""
-    name, inputs, outputs, game = about
-    described = {
-        "name": name,
+    about = {
+        "name": plain.name,
         "period": None,
-        "inputs": {"observation": inputs},
-        "outputs": {"values": outputs, "move": "index of the max value"},
+        "inputs": {"observation": [one._asdict() for one in elements]},
+        "outputs": {"values": "logit of each move", "move": "index of the max value"},
         **({} if game is None else {"origin": {"environment": "duel", "game": game}}),
     }
-    return OnnxNetwork(graph, constants, described, {"observation": drawn}, answers)
-
-
-def _moves(plain: Sb3Policy, elements: Sequence[Any], game: Any) -> OnnxNetwork:
-    drawn = np.random.default_rng(0).normal(size=(DRAWN, plain.layers.sizes[0])).astype(np.float32)
-    about = plain.name, [one._asdict() for one in elements], "logit of each move", game
-    return _chooser(about, _actor(plain), "Identity", drawn, {"move": plain.predict(drawn)[0]})
-
-
-def _regrets(network: RegretNetwork) -> OnnxNetwork:
-    size, last = len(network.elements), "Relu" if network.clipped else "Identity"
-    drawn = np.random.default_rng(0).normal(network.mean, network.scale, (DRAWN, size))
-    drawn = drawn.astype(np.float32)
-    inputs, outputs = ([{"name": one} for one in part] for part in network.identity[:2])
-    steps = _standardized(network.mean, network.scale) + layer_steps(network.layers, "Relu")
-    answers = {"values": network(drawn), "move": network.choose(drawn)}
-    about = network.name, inputs, outputs, network.identity._asdict()
-    return _chooser(about, steps, last, drawn, answers)
-
-
-FORMATS: dict[ArtifactFormat, Callable[[Path], OnnxNetwork]] = {
-    LIDAR_FORMAT: lidar_network,
-    NETWORK_FORMAT: lambda folder: _regrets(load_network(folder)),
-}
+    drawn = np.random.default_rng(0).normal(size=(DRAWN, size)).astype(np.float32)
+    answers = {"move": plain.predict(drawn)[0]}
+    return OnnxNetwork(graph, constants, about, {"observation": drawn}, answers)

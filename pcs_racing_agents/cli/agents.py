@@ -76,12 +76,12 @@ def run(
 def run_export(
     network: Annotated[
         str,
-        Option("model.zip, the folder or name of a learned planner or of an agent's network"),
+        Option("model.zip, or the folder or name of a planner with a lidar"),
     ],
     *,
     out: Annotated[Path, Option("file to write (.onnx)", "FILE")],
 ) -> None:
-    """Write the network of a policy, planner or agent as an ONNX file."""
+    """Write the network of a policy or planner as an ONNX file."""
     from pcs_racing_agents.agents.onnx_export import export_onnx
 
     print(f"written: {export_onnx(network, output_file(out, '.onnx'))}")

@@ -32,7 +32,7 @@ FILES = {
         "agents",
         "list agents and planners, or describe one: options, training, strength; parameters",
     ),
-    "export": ("agents", "write the network of a policy, planner or agent as an ONNX file"),
+    "export": ("agents", "write the network of a policy or planner as an ONNX file"),
     "tune": (
         "search",
         "tune the parameters of a planner by races, and check them on circuits held out",

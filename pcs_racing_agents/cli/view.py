@@ -4,14 +4,13 @@ import os
 import sys
 import webbrowser
 from collections.abc import Sequence
-from http.server import ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from pcs_racing.base.errors import InputError, check_whole
 from pcs_racing_agents.base.jobs import show_progress
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import RACED_CODE, Terminated, can_draw, output_file
+from pcs_racing_agents.cli.options import RACED_CODE, can_draw, output_file
 
 if TYPE_CHECKING:
     from pcs_racing_agents.tournament.races import RaceTable
@@ -25,7 +24,6 @@ REPLAYS, MAX_REPLAYS = 60, 2000
     "view",
     "pcs-racing view out/mine",
     "pcs-racing view out/mine --index 12 40 --out chosen.html",
-    "pcs-racing view out/mine --serve",
     "pcs-racing view out/mine --explain 12",
     "pcs-racing view out/mine --explain 12 --car 1 --out race-12.png",
 )
@@ -57,18 +55,10 @@ def run(
     replays: Annotated[
         int | None,
         Option(
-            f"number of races to include, selected by a rule (default: {REPLAYS}; with --index or"
-            " --serve: 0)"
+            f"number of races to include, selected by a rule (default: {REPLAYS}; with --index: 0)"
         ),
     ] = None,
     index: Annotated[Sequence[int], Option("numbers of races to include", "K")] = (),
-    serve: Annotated[
-        bool,
-        Option("write no file; serve the page from this machine, where any race can be watched"),
-    ] = False,
-    port: Annotated[
-        int | None, Option("port of the page on this machine (default: a free port)", "P")
-    ] = None,
     agents: Annotated[Sequence[str], Option(RACED_CODE, "AGENT")] = (),
     track: Annotated[
         Sequence[str], Option("map folder that was moved since the races were driven", "T")
@@ -79,16 +69,11 @@ def run(
     from pcs_racing.base.files import write_atomically
     from pcs_racing_agents.study.study import open_results
     from pcs_racing_agents.watch.race_replays import RaceRepeater, view_page
-    from pcs_racing_agents.watch.view_server import make_server
 
-    if serve and out is not None:
-        raise InputError("--out goes without --serve: a page that is served is not written")
-    if port is not None and not serve:
-        raise InputError("--port goes with --serve")
     if replays is not None:
         check_whole("--replays", replays, 0, MAX_REPLAYS)
-    if explain is not None and (serve or index or replays is not None):
-        raise InputError("--explain goes without --index, --replays and --serve: it makes no page")
+    if explain is not None and (index or replays is not None):
+        raise InputError("--explain goes without --index and --replays: it makes no page")
     if car is not None and explain is None:
         raise InputError("--car goes with --explain")
     if not results.is_dir():
@@ -99,7 +84,7 @@ def run(
         return
     target = output_file(out or results / "view.html", ".html")
     folder = open_results(results, agents, track)
-    default = 0 if index or serve else REPLAYS
+    default = 0 if index else REPLAYS
     picks = _picks(folder.races, index, default if replays is None else replays)
     repeater = RaceRepeater(folder)
     try:
@@ -108,12 +93,7 @@ def run(
         raise InputError(
             f"{error} (--replays 0 lists the races without any to be watched)"
         ) from None
-    page = view_page(repeater, picks, driven, serve=serve)
-    if serve:
-        with make_server(page, repeater.answer, port or 0) as server:
-            run_server(server, f"{len(folder.races)} races", open_it=not no_open)
-        return
-    write_atomically(target, page.encode())
+    write_atomically(target, view_page(repeater, picks, driven).encode())
     size = f"{target.stat().st_size / 1e6:.1f} MB"
     print(f"{len(folder.races)} races, {len(picks)} of them to be watched, {size}")
     print(f"page: {target}")
@@ -162,17 +142,3 @@ def open_page(address: str) -> None:
     ):
         return
     webbrowser.open(address)
-
-
-def run_server(server: ThreadingHTTPServer, what: str, *, open_it: bool) -> None:
-    """Serve a page until the command is interrupted; print its address."""
-    address = f"http://127.0.0.1:{server.server_address[1]}/"
-    print(f"{what} at {address} (Ctrl-C ends it)", flush=True)
-    if open_it:
-        open_page(address)
-    try:
-        server.serve_forever()
-    except KeyboardInterrupt as stop:
-        if isinstance(stop, Terminated):
-            raise
-        print("ended", file=sys.stderr)

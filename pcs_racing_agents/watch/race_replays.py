@@ -9,7 +9,6 @@ Its parts are ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the pla
 frame) and ``beside.html`` (the player's panel next to the track).
 """
 
-import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -20,12 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.base.packing import pack
 from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.race.replay import page_values, player_page, safe_json
+from pcs_racing.race.replay import page_values, player_page
 from pcs_racing_agents.agents.observing import opponent, step_count
 from pcs_racing_agents.base.jobs import Progress
 from pcs_racing_agents.policies.picture import axis_limits, in_units, plane
@@ -34,11 +32,9 @@ from pcs_racing_agents.tournament.races import Categorical
 from pcs_racing_agents.watch.explain import mark_moves
 from pcs_racing_agents.watch.pages import rendered
 from pcs_racing_agents.watch.results_folder import ResultsFolder
-from pcs_racing_agents.watch.view_server import Answer, error_answer
 
 PLAN_SKIP = 2  # every second plan is stored
 MAX_PAIRINGS = 64
-_RACE = re.compile(r"/race/([0-9]{1,7})")
 
 
 class RaceRepeater:
@@ -51,21 +47,6 @@ class RaceRepeater:
         #: Policy Characteristic Space (:func:`space_values`); None before the first race.
         self.space: dict[str, Any] | None = None
         self._pairing = lru_cache(maxsize=MAX_PAIRINGS)(results.pairing)
-
-    def answer(self, path: str) -> Answer:
-        """Answer ``/race/NUMBER`` with the race, its track and space as JSON, or ``error``."""
-        match, count = _RACE.fullmatch(path), len(self.results.races)
-        if match is None or int(match.group(1)) >= count:
-            return error_answer(404, f"there is / and /race/NUMBER here, from 0 to {count - 1}")
-        number = int(match.group(1))
-        track = self.results.row(number).track
-        try:
-            race = self.drive(number)
-        except (InputError, ModuleNotFoundError, OSError) as error:
-            return error_answer(409, str(error))
-        circuit = [track, self.circuits[track]]
-        values = {"race": race, "circuit": circuit, "space": self.space}
-        return Answer(200, safe_json(values).encode())
 
     def drive(self, number: int) -> dict[str, Any]:
         """Repeat the race on a line of the results, and return its data for the page."""
@@ -154,8 +135,6 @@ def view_page(
     repeater: RaceRepeater,
     picks: Mapping[int, str],
     races: Mapping[int, Mapping[str, Any]],
-    *,
-    serve: bool = False,
 ) -> str:
     """Return the page.
 
@@ -170,8 +149,6 @@ def view_page(
         Reason for each race with a replay, by its line of the results.
     races : mapping
         Data of these races (:meth:`RaceRepeater.drive_all`).
-    serve : bool
-        True if :mod:`pcs_racing_agents.watch.view_server` repeats other races.
     """
     beside = files("pcs_racing_agents.watch").joinpath("beside.html").read_text(encoding="utf-8")
     results = repeater.results
@@ -194,17 +171,12 @@ def view_page(
         "replays": list(picks.items()),
         "circuits": list(repeater.circuits.items()),
         "space": repeater.space,
-        "serve": serve,
-        "commands": [
-            f"pcs-racing view {path} {option}" for option in ("--serve", "--index {race}")
-        ],
+        "command": f"pcs-racing view {path} --index {{race}}",
     }
-    source = "'self'" if serve else "'none'"
     return rendered(
         "pcs_racing_agents.watch",
         "view.html",
         title=title,
-        allowed=f"img-src data:; connect-src {source}",
         data=data,
         player=player_page().replace("<!--beside-->", beside),
         replays=races,

@@ -1,4 +1,3 @@
-import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 
@@ -22,7 +21,6 @@ from pcs_racing_agents.tournament import (
     tournament_settings,
     write_results,
 )
-from pcs_racing_agents.watch.view_server import make_server
 
 
 @pytest.fixture(scope="session")
@@ -149,21 +147,3 @@ def tournament_folder(saved_archive, tmp_path_factory):
         tournament = play_plan(plan, job=job)
         write_results(tournament.races, folder / "results.csv")
     return folder, tournament
-
-
-@pytest.fixture
-def served():
-    """Serve a page until the test ends; returns its address."""
-    running = []
-
-    def serve(page, answer):
-        server = make_server(page, answer)
-        running.append((server, threading.Thread(target=server.serve_forever)))
-        running[0][1].start()
-        return f"http://127.0.0.1:{server.server_address[1]}/"
-
-    yield serve
-    for server, thread in running:
-        server.shutdown()
-        thread.join()
-        server.server_close()

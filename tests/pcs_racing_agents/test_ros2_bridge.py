@@ -23,7 +23,6 @@ from pcs_racing import load_track
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.planners.ros_nodes import Node, ask_node, modules
 from pcs_racing_agents.agents import PolicyOnCar, export_onnx
-from pcs_racing_agents.networks import list_networks
 
 PACKAGE = REPOSITORY / "examples" / "ros2_bridge"
 NAME = "pcs_racing_ros"
@@ -391,6 +390,11 @@ def test_the_steering_angle_follows_the_command_to_stop(ros):
     assert planning.steering == 0.0
 
 
+OTHER = """<ir_version: 8, opset_import: ["" : 17]>
+other (float[1,2] observation) => (float[1,2] command) { command = Identity (observation) }"""
+"""Network of other inputs than a planner with a lidar."""
+
+
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [
@@ -406,7 +410,16 @@ def test_the_steering_angle_follows_the_command_to_stop(ros):
 )
 def test_bad_parameters_are_refused(ros, lidar_ppo, tmp_path, monkeypatch, parameters, said):
     monkeypatch.chdir(tmp_path)
-    export_onnx(list_networks()[0], "network.onnx")
+    onnx = pytest.importorskip("onnx")
+    model = onnx.parser.parse_model(OTHER)
+    about = {
+        "name": "other",
+        "period": 0.1,
+        "inputs": {"observation": []},
+        "outputs": {"command": []},
+    }
+    onnx.helper.set_model_props(model, {"pcs_racing": json.dumps(about)})
+    onnx.save(model, "network.onnx")
     refused(said, ros("planning").Planning, error=ValueError, **parameters)
 
 

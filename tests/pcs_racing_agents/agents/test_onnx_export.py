@@ -14,10 +14,9 @@ from pcs_racing.planners import PATH_KAPPA, PATH_SPEED, VIEW, Lidar
 from pcs_racing.planners.racers import racer
 from pcs_racing.planners.scanning import BEAMS, FIELD_OF_VIEW, MAX_RANGE
 from pcs_racing_agents.agents import PolicyOnCar, export_onnx, save_model
-from pcs_racing_agents.agents.sb3_files import read_zip
+from pcs_racing_agents.agents.sb3_files import Sb3Policy, read_zip
 from pcs_racing_agents.base.onnx_file import METADATA
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.networks import RegretNetwork, list_networks, load_network
 
 pytest.importorskip("onnx")
 runtime = pytest.importorskip("onnxruntime")
@@ -76,18 +75,6 @@ def test_ranges_become_the_commands_of_lidar_ppo(tmp_path, rng, monkeypatch):
     for name, value in network.about["vehicle"].items():
         number = list(VIEW).index("WHEELBASE" if name == "wheelbase" else name.upper())
         assert value == pytest.approx(view[number], rel=1e-12), name
-
-
-@pytest.mark.parametrize("name", [list_networks()[0], list_networks()[-1]])
-def test_the_values_of_an_agents_moves(tmp_path, rng, name):
-    own = load_network(name)
-    network = opened(own, tmp_path)
-    rows = own.mean + own.scale * rng.normal(size=(50, len(own.elements))).astype(np.float32)
-    found = network.outputs(observation=rows)
-    close(found["values"], own(rows))
-    np.testing.assert_array_equal(found["move"], own.choose(rows))
-    assert [one["name"] for one in network.about["inputs"]["observation"]] == [*own.elements]
-    assert [one["name"] for one in network.about["outputs"]["values"]] == [*own.moves]
 
 
 # Models of Stable-Baselines3
@@ -179,10 +166,13 @@ def test_the_command_writes_a_file_and_refuses_early(tmp_path, capsys):
     assert [one.name for one in tmp_path.iterdir()] == ["lidar.onnx"]
 
 
-def test_a_file_that_answers_otherwise_than_its_network_is_not_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(RegretNetwork, "choose", lambda self, rows: np.zeros(len(rows), np.int64))
-    refused("would answer move otherwise", export_onnx, list_networks()[0], tmp_path / "a.onnx")
-    assert not list(tmp_path.iterdir())
+def test_a_file_that_answers_otherwise_than_its_policy_is_not_written(tmp_path, monkeypatch, sb3):
+    model = sb3.PPO("MlpPolicy", DuelEnv(track="Pipkin"), seed=1, device="cpu")
+    model.save(tmp_path / "a.zip")
+    zeros = lambda self, rows: (np.zeros(len(rows), np.int64), None)  # noqa: E731
+    monkeypatch.setattr(Sb3Policy, "predict", zeros)
+    refused("would answer move otherwise", export_onnx, tmp_path / "a.zip", tmp_path / "a.onnx")
+    assert not (tmp_path / "a.onnx").exists()
 
 
 def test_what_has_no_network_is_refused(tmp_path):

@@ -1,22 +1,15 @@
-"""``pcs-racing view``: pages, server, explanations and refusals."""
+"""``pcs-racing view``: pages, explanations and refusals."""
 
-import json
 import re
 import shutil
-import socket
-import threading
-from http.client import HTTPConnection
 
 import pytest
-from refusal import refused
 
 from pcs_racing import load_track
 from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.study.study import open_results
 from pcs_racing_agents.watch.race_choice import choose_races
-from pcs_racing_agents.watch.race_replays import RaceRepeater
-from pcs_racing_agents.watch.view_server import Answer, make_server
 
 
 @pytest.fixture
@@ -72,13 +65,10 @@ def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch):
         (["{folder}/results.csv"], "there is no folder"),
         (["{folder}", "--out", "page.txt"], "its name must end in .html"),
         (["{folder}", "--out", "{folder}/none/page.html"], "there is no folder"),
-        (["{folder}", "--out", "a.html", "--serve"], "--out goes without --serve"),
-        (["{folder}", "--port", "80"], "--port goes with --serve"),
         (["{folder}", "--replays", "-1"], "--replays is -1; it must be"),
         (["{folder}", "--replays", "2001"], "--replays is 2001; it must be"),
         (["{folder}", "--index", "18"], "--index names 18; there are races 0 to 17"),
         (["{folder}", "--index", "-1"], "--index names -1"),
-        (["{folder}", "--serve", "--port", "70000"], "port is 70000"),
         (
             ["{folder}", "--explain", "18"],
             "there is no race 18 in {folder}; it holds races 0 to 17",
@@ -210,120 +200,3 @@ def test_races_on_an_own_map_are_found_by_its_path_and_after_it_moved(
     assert "if the map was moved, --track names its folder" in error
     assert "2 races, 1 of them" in printed(*page, "--track", tmp_path / "moved")
     assert " on Home, " in printed("view", results, "--explain", 0, "--track", tmp_path / "moved")
-
-
-@pytest.fixture
-def ask(folder, served):
-    """Asks a running server; returns status and content."""
-    repeater = RaceRepeater(open_results(folder))
-    port = int(served("<p>the page", repeater.answer).strip("/").rpartition(":")[2])
-
-    def get(path, method="GET", **headers):
-        connection = HTTPConnection("127.0.0.1", port, timeout=120)
-        names = {name.replace("_", "-"): value.format(port=port) for name, value in headers.items()}
-        connection.putrequest(method, path, skip_host="Host" in names)
-        for name, value in names.items():
-            connection.putheader(name, value)
-        connection.endheaders()
-        answer = connection.getresponse()
-        content = answer.read()
-        connection.close()
-        return answer, content
-
-    return get
-
-
-def test_the_server_drives_what_it_is_asked_for(ask, tournament_folder):
-    answer, content = ask("/")
-    assert (answer.status, content) == (200, b"<p>the page")
-    assert answer.headers["X-Content-Type-Options"] == "nosniff"
-    answer, content = ask("/race/4")
-    race = json.loads(content)
-    assert answer.status == 200
-    assert race["race"]["car_names"] == [
-        tournament_folder[1].races[4].ego,
-        tournament_folder[1].races[4].opponent,
-    ]
-    assert race["circuit"][0] == "Pipkin"
-    assert ask("/race/4", Host="localhost:{port}", Sec_Fetch_Site="same-origin")[1] == content
-
-
-NOWHERE = (
-    "/race/18 /race/99999999 /race/-1 /race/1/../../job.yaml /../job.yaml /race/%31 /race/1?x"
-    f" /race/{'1' * 5000}"
-)
-
-
-@pytest.mark.parametrize(
-    ("path", "headers", "status"),
-    [
-        *((path, {}, 404) for path in NOWHERE.split()),
-        ("/", {"Host": "example.com:{port}"}, 403),
-        ("/", {"Host": "127.0.0.1:1"}, 403),
-        ("/race/1", {"Sec_Fetch_Site": "cross-site"}, 403),
-        ("/", {"Sec_Fetch_Site": "same-site"}, 403),
-        ("/race/1", {"Origin": "http://evil.example"}, 403),
-    ],
-)
-def test_the_server_answers_nothing_else(ask, path, headers, status):
-    answer, content = ask(path, **headers)
-    assert answer.status == status
-    assert "error" in json.loads(content)
-
-
-def test_the_server_is_for_reading(ask):
-    for method in ("POST", "PUT", "DELETE"):
-        assert ask("/race/1", method)[0].status == 501
-
-
-def test_a_race_that_can_not_be_driven_is_told(folder):
-    manifest = folder / "job.yaml"
-    manifest.write_text(manifest.read_text().replace(*CHANGES[2][:2]))
-    answer = RaceRepeater(open_results(folder)).answer("/race/3")
-    assert answer.status == 409
-    assert "has changed since the races were driven" in json.loads(answer.body)["error"]
-
-
-def test_two_origins_or_hosts_are_none_and_a_body_is_no_request():
-    asked = []
-    with make_server("", lambda path: asked.append(path) or Answer(200, b"{}")) as server:
-        threading.Thread(target=server.serve_forever).start()
-        host = f"127.0.0.1:{server.server_address[1]}"
-        head, own = f"GET /race/1 HTTP/1.1\nHost: {host}\n", f"Origin: http://{host}\n"
-        end = "Connection: close\n\n"
-        answers = []
-        for request in (
-            f"{head}{own}Origin: http://evil.example\n{end}",
-            f"{head}{own}{own}{end}",
-            f"{head}Host: evil\n{own}{end}",
-            f"{head}{own}{end}",
-            f"{head}Content-Length: 5\n\n{head}{end}",
-        ):
-            with socket.create_connection(server.server_address, 60) as one:
-                one.sendall(request.replace("\n", "\r\n").encode())
-                answers.append(one.makefile("rb").readline().decode().split()[1])
-        server.shutdown()
-    assert answers == ["403", "403", "403", "200", "200"]
-    assert asked == ["/race/1"] * 2
-
-
-def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):
-    addresses = []
-
-    def end(self, *_):
-        addresses.append(self.server_address)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(view, "open_page", addresses.append)
-    monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
-    assert main(["view", str(folder), "--serve"]) == 0
-    assert addresses[0] == f"http://127.0.0.1:{addresses[1][1]}/"
-    assert addresses[1][0] == "127.0.0.1"
-    assert f"18 races at {addresses[0]}" in capsys.readouterr().out
-    assert not (folder / "view.html").exists()
-
-
-def test_a_port_that_is_taken_is_named():
-    with make_server("", lambda path: Answer(200, b"")) as server:
-        taken = server.server_address[1]
-        refused("can't listen on port", make_server, "", lambda path: Answer(200, b""), port=taken)

@@ -214,17 +214,6 @@ def test_a_phone_shows_the_list_and_then_the_race_or_how_to_watch_it(
     assert f"Race {absent}: " in text
 
 
-def test_a_served_page_drives_any_race(browser, tournament_folder, served):
-    place, _ = tournament_folder
-    results = open_results(place)
-    repeater = RaceRepeater(results)
-    page = view_page(repeater, {}, {}, serve=True)
-    browser.open(served(page, repeater.answer) + "#race=7")
-    assert played(browser)[1] > 0.1
-    assert browser.complaints == []
-    assert browser.run("space.archive") == "toy"
-
-
 def replay(get, moment="#t=nonsense&follow=7", **changes):
     path = save_replay(
         race_on_a_circle(**{"candidates": 3, **changes}), get("tmp_path") / "race.html"
