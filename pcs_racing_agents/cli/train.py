@@ -18,7 +18,6 @@ from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.base.folders import hold_folder
 from pcs_racing_agents.base.jobs import open_job, show_progress
-from pcs_racing_agents.base.style import curves_picture, save_picture
 from pcs_racing_agents.base.tables import aligned, table_rows, write_csv
 from pcs_racing_agents.cli.commands import Command, ConfigOptions, Option, command
 from pcs_racing_agents.cli.options import (
@@ -29,7 +28,6 @@ from pcs_racing_agents.cli.options import (
     RaceOptions,
     Workers,
     archive_for,
-    can_draw,
     output_folder,
 )
 from pcs_racing_agents.learning.ppo import COLUMNS, PPOSettings
@@ -42,7 +40,7 @@ from pcs_racing_agents.networks import (
 )
 from pcs_racing_agents.networks.from_trees import train_regrets
 from pcs_racing_agents.networks.metrics import score_table
-from pcs_racing_agents.networks.training import TrainSettings, epoch_curves, write_epochs
+from pcs_racing_agents.networks.training import TrainSettings, write_epochs
 from pcs_racing_agents.tournament.race_files import write_results
 from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.storage import stored_identity
@@ -127,13 +125,6 @@ def run_regret(
         best = result.epochs[result.best]
         save_network(network, folder)
         write_epochs(result, folder / "learning_curves.csv")
-        _draw_curves(
-            folder / "learning_curves.png",
-            epoch_curves(result),
-            log=("loss",),
-            mark=best.epoch,
-            title=f"{name}: {settings.target}",
-        )
     print(
         f"{network}\n{network.training['rows']} rows from {network.training['tracks']}; epoch"
         f" {best.epoch} of {result.epochs[-1].epoch} kept, validation loss"
@@ -170,11 +161,6 @@ def _about(manifests: Sequence[Mapping[str, Any]]) -> dict[str, str | int | floa
     }
 
 
-def _draw_curves(file: Path, panels: Mapping[str, Any], **options: Any) -> None:
-    if can_draw("the learning curve"):
-        save_picture(curves_picture(panels, **options), file)
-
-
 @command(
     "train ppo",
     "pcs-racing train ppo --config duel-paper --out out/ppo",
@@ -197,7 +183,6 @@ def run_ppo(
         trained = learning.train_ppo(
             settings, out, name=name, executor=executor, progress=show_progress("steps")
         )
-    _draw_curves(out / "curve.png", trained.panels, x_label="million moves", title="PPO")
     table = "\n".join(aligned(table_rows(COLUMNS, trained.best)))
     print(
         f"{trained.seconds:.0f} s of training; best: seed {trained.best[0].seed},"

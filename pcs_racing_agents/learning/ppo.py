@@ -39,7 +39,6 @@ from pcs_racing_agents.agents.sb3_files import frozen_model
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.executors import in_other_processes
 from pcs_racing_agents.base.jobs import Arrays, Progress, open_job
-from pcs_racing_agents.base.style import Curve
 from pcs_racing_agents.base.tables import Column, write_csv
 from pcs_racing_agents.networks import RegretNetwork, save_network
 from pcs_racing_agents.networks.training import torch_alone
@@ -130,7 +129,6 @@ class TrainedPPO(NamedTuple):
     network: RegretNetwork  #: Policy with the max score over all evaluations and seeds.
     curve: list[Evaluation]  #: All evaluations of all seeds.
     best: list[Evaluation]  #: Evaluation of the network; as a maximum it is biased upwards.
-    panels: dict[str, list[Curve]]  #: Means of the evaluations, a line for each seed.
     seconds: float  #: Time of the training, without interruptions, s.
 
 
@@ -201,15 +199,8 @@ def train_ppo(
         )
         place = save_network(network, job.folder / "agent")
         write_csv([Evaluation._fields, *curve], place / "curve.csv")
-    panels = {
-        title: [
-            Curve(one["steps"] / 1e6, mean[:, k], f"seed {seed}")
-            for seed, one, mean in zip(settings.seeds, seeds, means, strict=True)
-        ]
-        for k, title in enumerate(("score", "own crashes", "lead, m"))
-    }
     seconds = sum(float(one["seconds"]) for one in seeds)
-    return TrainedPPO(network, curve, [line for line in curve if line[:2] == kept], panels, seconds)
+    return TrainedPPO(network, curve, [line for line in curve if line[:2] == kept], seconds)
 
 
 def _train_seed(

@@ -24,7 +24,6 @@ from pcs_racing.base.typing import Singles
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.jobs import Progress
-from pcs_racing_agents.base.style import Curve
 from pcs_racing_agents.base.tables import write_csv
 from pcs_racing_agents.networks.goals import Goals, Scaling, row_goals, scale_rows
 from pcs_racing_agents.networks.network import RegretNetwork
@@ -333,16 +332,3 @@ def write_epochs(result: TrainingResult, file: Path) -> Path:
     """Write a line for each epoch to a CSV file."""
     rows = [(str(epoch.epoch), *(f"{value:.7g}" for value in epoch[1:])) for epoch in result.epochs]
     return write_csv([Epoch._fields, *rows], file)
-
-
-def epoch_curves(result: TrainingResult) -> dict[str, list[Curve]]:
-    """Return losses and agreement over the epochs, as panels of a picture."""
-    columns = dict(zip(Epoch._fields, np.array(result.epochs, np.float64).T, strict=True))
-
-    def curve(key: str) -> Curve:
-        return Curve(columns["epoch"], columns[key], key.partition("_")[0])
-
-    return {
-        "loss": [curve("training_loss"), curve("validation_loss")],
-        "share of choices that are best": [curve("validation_agreement")],
-    }

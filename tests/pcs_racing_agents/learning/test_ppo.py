@@ -50,8 +50,6 @@ def test_of_several_seeds_the_policy_of_the_best_evaluation_is_kept(trained, tmp
     }
     best = max(scores, key=scores.get)
     assert both.best == [line for line in both.curve if line[:2] == best]
-    assert [curve.label for curve in both.panels["score"]] == ["seed 0", "seed 1"]
-    assert both.panels["score"][1].y.max() <= max(scores.values()) + 1e-9
 
 
 def test_a_folder_belongs_to_its_settings_and_archive_and_is_only_read_again(
@@ -200,6 +198,6 @@ def test_training_from_the_command_line(tmp_path, run):
     assert out.endswith(f"race it as ppo:network={place / 'agent'}\n")
     assert "16/16 steps" in err
     created = {path.name for path in place.iterdir() if not path.name.startswith(".")}
-    assert created == {"job.yaml", "chunks", "curve.png", "agent"}
+    assert created == {"job.yaml", "chunks", "agent"}
     assert load_network(place / "agent").name == "mine"
     assert run(*arguments)[:2] == (0, out)  # finished: it is only read
