@@ -10,12 +10,12 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.race.config import load_rules
 from pcs_racing.track.maps import find_shipped
+from pcs_racing_agents.base.folders import package_version
 from pcs_racing_agents.cli.commands import Parser, add_commands
 from pcs_racing_agents.cli.options import Terminated
 
@@ -164,7 +164,7 @@ def _parser(command: str | None = None, *, brief: bool = False) -> argparse.Argu
         ),
         allow_abbrev=False,
     )
-    parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
+    parser.add_argument("--version", action="version", version=f"%(prog)s {package_version()}")
     commands: Any = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     if brief and command not in FILES:
         for name, (_, summary) in FILES.items():
@@ -175,13 +175,6 @@ def _parser(command: str | None = None, *, brief: bool = False) -> argparse.Argu
     for file in dict.fromkeys(file for file, _ in wanted):
         add_commands(commands, import_module(f"pcs_racing_agents.cli.{file}"))
     return parser
-
-
-def _version() -> str:
-    try:
-        return version("pcs-racing")
-    except PackageNotFoundError:  # a checkout that is not installed
-        return "(not installed)"
 
 
 def check_command(word: str, commands: Sequence[str]) -> None:

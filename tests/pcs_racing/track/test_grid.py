@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pcs_racing.track.grid import cast, distance_to_walls, lookup_grid, way_out
+from pcs_racing.track.grid import cast, distance_to_walls
 
 grids = hnp.arrays(np.bool_, st.tuples(st.integers(1, 14), st.integers(1, 14)))
 
@@ -50,29 +50,3 @@ def test_a_ray_ends_at_the_first_wall_that_small_steps_find(drivable, x, y, angl
     if distance > 0.0:  # a ray that gives up before the wall leaves through no side
         given_up = cast(drivable, x, y, cos, sin, 0.5 * distance)
         assert (given_up[0], given_up[3]) == (0.5 * distance, -1)
-
-
-def test_the_lookup_does_not_go_through_walls_and_the_way_out_leads_through_the_gap():
-    """Two corridors, one cell of wall between them; a point of the upper one lies close to the
-    wall.
-    """
-    drivable = _padded(np.ones((7, 20), dtype=bool))
-    drivable[4, 1:19] = False  # open at the right end only
-    x = np.concatenate([np.arange(1.5, 20.0), [20.5], np.arange(19.5, 1.0, -1.0)])
-    y = np.concatenate([np.full(19, 1.5), [4.5], np.full(19, 5.5)])
-    table = lookup_grid(drivable, x, y, 1)
-    for col in range(2, 17):
-        assert y[table[3, col]] == 1.5  # the other corridor's point is nearer here ...
-        assert abs(x[table[3, col]] - col - 0.5) <= 1.0
-        assert y[table[6, col]] == 5.5
-    assert (table >= 0).all()
-    coarse = lookup_grid(drivable, x, y, 4)
-    assert coarse.shape == (3, 6)
-    assert (coarse >= 0).all()
-    occupied = np.zeros((30, 40), dtype=bool)
-    occupied[5, 5:35] = occupied[25, 5:35] = occupied[5:26, 5] = occupied[5:26, 34] = True
-    occupied[25, 20] = False
-    way = way_out(occupied, np.array([10]), np.array([10]))
-    assert [25, 20] in way.tolist()
-    assert way[-1].tolist() == [10, 10]
-    assert way[0, 0] == 29

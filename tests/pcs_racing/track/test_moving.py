@@ -168,12 +168,6 @@ def test_without_moving_ones_a_seed_draws_as_before(oval):
     assert (boxes[:, 3:5] == [0.35, 0.32]).all()
 
 
-def test_impossible_motions_are_refused(oval):
-    for motion in ([100.0, 0.0], [0.0, -50.0], [np.nan, 0.0]):
-        refused("obstacle", with_obstacles, oval, [[*BOX[:5], *motion]])
-    refused("obstacle", with_obstacles, oval, [BOX[:6]])
-
-
 # on the lower straight of the oval, whose race line runs through (x, -4)
 STANDING = [0.0, -4.0, 0.3, 0.6, 0.4]
 
@@ -285,5 +279,9 @@ def test_impossible_boxes_are_refused(oval):
         "boxes",
         [["x"] * 5],
         [[*STANDING, 1.0, 0.0], STANDING],
+        [[*BOX[:5], 100.0, 0.0]],
+        [[*BOX[:5], 0.0, -50.0]],
+        [[*BOX[:5], np.nan, 0.0]],
+        [BOX[:6]],
     ]:
         refused("obstacle", with_obstacles, oval, boxes)

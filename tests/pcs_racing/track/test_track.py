@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from refusal import refused
 
 from pcs_racing import load_track
@@ -222,14 +222,6 @@ def test_any_real_hint_is_wrapped(oval, hint, along):
     )
     assert abs(_difference(oval, s, along * oval.length)) < 1e-6
     assert 0.0 <= frenet.wrap_s(oval.arrays, hint) < oval.length
-
-
-@settings(max_examples=20)
-@given(angle=st.floats(-100.0, 100.0), other=st.floats(-100.0, 100.0))
-def test_angle_between_is_the_short_way_round(angle, other):
-    found = frenet.angle_between(angle, other)
-    assert -np.pi <= found <= np.pi
-    assert abs(np.sin(0.5 * (angle - other - found))) < 1e-9
 
 
 def test_wall_distance_is_interpolated_between_the_centres_of_the_four_cells_around_a_point(oval):

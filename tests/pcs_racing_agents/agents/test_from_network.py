@@ -163,10 +163,6 @@ def constant(player, spec):
     return Agent(player.name, Chances(player), spec)
 
 
-def always(spec, move):
-    return constant(players.always(spec, move), spec)
-
-
 def never_switch(spec):
     return constant(players.never_switch(spec), spec)
 
@@ -213,27 +209,6 @@ def test_drawing_on_the_way_is_drawing_before_the_game(game, spec, network):
         state = after
     np.testing.assert_allclose(behaviour, weights @ drawn, rtol=1e-9, atol=1e-15)
     assert differed, "the members must have become unequally likely, or this test says nothing"
-
-
-def test_a_member_that_would_not_have_come_here_is_out(spec, game):
-    stays, goes = never_switch(spec), always(spec, "aggressiveness +")
-    mixture = Agent(
-        "mixture", make_mixture([stays, random_moves(spec), goes], [2.0, 0.0, 2.0]), spec
-    )
-    assert mixture.strategy.members == (stays, goes)
-    state = game.reset(games=4, seed=1, policies=(0, 3))
-    np.testing.assert_allclose(
-        mixture.probabilities(game.observation(state)[:, 0]), [[0.5, 0, 0, 0, 0.5]] * 4
-    )
-    moved = game.step(state, np.tile([0, 4], (4, 1)))
-    assert (moved.policy[:, 0] != 0).all()
-    np.testing.assert_array_equal(
-        mixture.probabilities(game.observation(moved)[:, 0]), [[1, 0, 0, 0, 0]] * 4
-    )
-    stayed = game.step(state, np.full((4, 2), 4))
-    np.testing.assert_array_equal(
-        mixture.probabilities(game.observation(stayed)[:, 0]), [[0, 0, 0, 0, 1]] * 4
-    )
 
 
 def test_a_set_of_networks_is_played_as_the_mixture_of_its_members(spec, seen, tmp_path):

@@ -247,31 +247,6 @@ def test_every_agent_was_measured_as_it_is_now(archive, race):
     )
 
 
-def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, tmp_path):
-    for module in (describe, zoo_page):
-        monkeypatch.setattr(module, "measured_file", lambda: tmp_path / "measured.csv")
-    measurements.cache_clear()
-    try:
-        digest = competitor_hash(make("never-switch"))
-        assert not measurements()
-        one = measured_agent("default", digest, {"random-moves": 0.625})
-        zoo_page.write_measurements(
-            [one, one._replace(agent="lane-switcher", many_us=np.nan, against={})]
-        )
-        assert measurements()["default", "paper", "never-switch"] == one
-        assert np.isnan(measurements()["default", "paper", "lane-switcher"].many_us)
-        page = zoo_page.zoo_page()
-        assert (
-            f"| `never-switch` | 0.500 | -12 [-40, +20] | 2.0% | 46 | 0.53 | `{digest[:12]}` |"
-            in page
-        )
-        assert (
-            f"| `lane-switcher` | 0.500 | -12 [-40, +20] | 2.0% | 46 |  | `{digest[:12]}` |" in page
-        )
-    finally:
-        measurements.cache_clear()
-
-
 def test_the_command_tells_the_same(printed):
     out = printed("agents", "cfr-argmax")
     for line in facts_of("cfr-argmax", make_game(None, "default", "paper")):

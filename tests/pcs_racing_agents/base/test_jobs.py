@@ -133,15 +133,6 @@ def test_no_changed_byte_goes_unnoticed(data, tmp_path_factory):
     refused(r"damaged|another task", read_chunk, file, "0" * 64)
 
 
-def test_a_chunk_made_for_another_task_is_not_used(tmp_path, caplog):
-    with open_job(tmp_path, "squares", SETTINGS) as job:
-        job.run("square", square, [2, 3])
-        results = job.run("square", square, [2, 4])
-    assert int(results[1]["count"]) == 4
-    assert "square-00001.npz belongs to another task" in caplog.text
-    assert len(caplog.records) == 1
-
-
 def kill_yourself(task: int) -> dict[str, int]:
     if task == 5:
         os.kill(os.getpid(), signal.SIGKILL)

@@ -29,10 +29,8 @@ from pcs_racing.planners import registry
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.track.maps import find_shipped, list_tracks
 from pcs_racing.track.track import calibration_values
-from pcs_racing_agents.cli import search
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
-from pcs_racing_agents.policies.archive_run import SearchProgress
 
 SHORT = ["--duration", "4"]
 PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]
@@ -88,19 +86,6 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
     assert lines[-2] == f"best of 3, races 3 to 5: car 0 won {won[0]}, car 1 won {won[1]}"
     assert sum(won) == 3
     assert printed(*words).splitlines() == lines  # the same seed, the same race
-
-
-def test_progress_of_a_search_tells_its_generation_and_front(capsys, monkeypatch):
-    clock = iter([0.0, 10.0, 20.0])
-    monkeypatch.setattr("time.monotonic", lambda: next(clock))
-    show = search.show_search()
-    show("search", 500, 2000, SearchProgress(3, 500, 0.5, 7, 0.125))
-    show("measurement", 4, 4, None)
-    assert capsys.readouterr().err.splitlines() == [
-        "500/2000 steps, 10 s, about 30 s left: search, generation 3, hypervolume 0.500,"
-        " 7 policies, own crashes 12.5%",
-        "4/4 steps, 20 s",
-    ]
 
 
 def test_a_race_without_options_is_worth_watching(printed, tmp_path):

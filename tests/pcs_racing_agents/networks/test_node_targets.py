@@ -212,13 +212,7 @@ def test_rows_are_compact_and_impossible_ones_one_clear_error():
         refused(message, rows, **changes)
 
 
-def test_rows_can_be_taken_joined_and_split_by_pair():
-    made = rows()
-    part = made.take([3, 1])
-    np.testing.assert_array_equal(part.targets, made.targets[[3, 1]])
-    again = join_rows([made.take(np.arange(12) < 5), made.take(np.arange(12) >= 5)])
-    for key in ("observations", "targets", "weights", "pair", "step"):
-        np.testing.assert_array_equal(getattr(again, key), getattr(made, key))
+def test_rows_that_can_not_be_joined_or_split_are_refused():
     refused("no rows to join", join_rows, [])
     refused("one starting pair", split_by_pair, rows(pairs=1), 0.2, 0)
     refused("weights of 0", split_by_pair, rows(pairs=2, weights=np.arange(12) % 2 + 0.0), 0.5, 0)

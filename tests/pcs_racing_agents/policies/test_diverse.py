@@ -68,14 +68,6 @@ def test_draws_are_repeated_and_impossible_choices_refused():
         refused(message, diverse.select_diverse, archive, **arguments)
 
 
-@given(values=st.lists(st.floats(0.0, 3.0), min_size=1, max_size=7), k=st.integers(0, 7))
-def test_elementary_symmetric_polynomials(values, k):
-    with np.errstate(divide="ignore"):
-        table = diverse.log_elementary_symmetric(np.log(values), k)
-    brute = sum(float(np.prod(chosen)) for chosen in combinations(values, k))
-    assert np.exp(table[k, len(values)]) == pytest.approx(brute, rel=1e-9, abs=1e-12)
-
-
 @given(seed=st.integers(0, 10_000), size=st.integers(2, 8), data=st.data())
 def test_each_greedy_step_takes_the_item_that_enlarges_the_determinant_most(seed, size, data):
     k = data.draw(st.integers(1, size))

@@ -69,17 +69,6 @@ def test_a_contribution_is_what_the_front_loses_without_the_point(points):
 
 
 @given(whole_points(axes=st.integers(2, 3)), st.integers(0, 2**32 - 1))
-def test_a_point_improves_a_front_if_and_only_if_it_exceeds_a_corner(front, seed):
-    points = np.random.default_rng(seed).uniform(-3.0, 7.0, (5, front.shape[1]))
-    corners = pareto.improving_corners(front, -1.0)
-    exceeds = (points[:, None] > corners).all(axis=-1).any(axis=1)
-    improves = (points > -1.0).all(axis=-1) & ~(front[None] >= points[:, None]).all(axis=-1).any(
-        axis=1
-    )
-    np.testing.assert_array_equal(exceeds, improves)
-
-
-@given(whole_points(axes=st.integers(2, 3)), st.integers(0, 2**32 - 1))
 def test_uncrowded_improvement_adds_hypervolume_or_says_how_far_that_is(front, seed):
     points = np.random.default_rng(seed).uniform(-4.0, 8.0, (20, front.shape[1]))
     before = pareto.hypervolume(front, -1.0)

@@ -170,18 +170,6 @@ def test_agreement_is_the_share_of_decisions_with_a_best_move(seed):
     assert agreement(tree, exact, exact.profile) == pytest.approx((1.0, 1.0))
 
 
-def test_agreement_has_no_unit_and_is_1_where_nothing_matters():
-    tree = random_tree(5, 3, 3, 2, 2)
-    profile = random_profile(tree, 1)
-    expected = agreement(tree, solve_exact(tree), profile)
-    assert 0.0 < expected[0] < 1.0
-    for unit in (1e-12, 1e9):
-        scaled = GameTree.from_payoffs(unit * tree.payoffs.reshape(3, 3, 2, 2))
-        assert agreement(scaled, solve_exact(scaled), profile) == pytest.approx(expected)
-    # All moves are best ones.
-    assert agreement(PENNIES, solve_exact(PENNIES), random_profile(PENNIES)) == (1.0, 1.0)
-
-
 def test_the_table_has_each_methods_exploitability():
     tree = random_tree(2, 3, 2, 2, 2)
     rows = compare_methods(tree, 20)

@@ -8,7 +8,6 @@ from scipy.spatial import cKDTree
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.centerline import centerline_from_grid
 from pcs_racing.track.building.curves import first_crossing, resample, signed_area
-from pcs_racing.track.building.islands import fill_islands
 from pcs_racing.track.mapping.circuits import generate_circuit, walls_to_grid
 
 
@@ -122,18 +121,3 @@ def test_impossible_wishes_and_maps_without_a_loop_are_refused(box):
             (0.0, 0.0),
             error=MapError,
         )
-
-
-def test_holes_of_little_area_or_much_shorter_than_the_infield_are_filled():
-    region = np.ones((60, 60), bool)
-    region[[0, -1]] = region[:, [0, -1]] = False
-    region[5:45, 5:15] = False  # 20 m by 5 m at 0.5 m a cell: the infield
-    region[5:15, 20:22] = False  # 5 m by 1 m, a quarter of its extent
-    region[5:14, 25:29] = False  # 4.5 m by 2 m
-    region[5:45, 40] = region[50, 50] = False  # long and thin; a cell of 0.25 m^2
-    filled, holes, large = fill_islands(region, 0.5)
-    assert set(large) == {holes[5, 5], holes[5, 20], holes[5, 40]}
-    assert filled[5:14, 25:29].all()
-    assert filled[50, 50]
-    assert not filled[holes == holes[5, 5]].any()
-    assert not filled[0].any()

@@ -137,11 +137,6 @@ def test_every_sample_is_held_back_by_some_limit_and_none_is_exceeded(kappa, ds)
     np.testing.assert_allclose(w, np.minimum(cap, np.minimum(forwards, backwards)), rtol=1e-9)
 
 
-def circle(radius: float, points: int = 200) -> np.ndarray:
-    t = np.linspace(0.0, 2.0 * np.pi, points, endpoint=False)
-    return radius * np.column_stack([np.cos(t), np.sin(t)])
-
-
 @given(radius=st.floats(0.5, 20.0), waves=st.integers(4, 12))
 def test_smoothing_damps_a_wave_as_it_says(radius, waves):
     t = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
@@ -152,43 +147,6 @@ def test_smoothing_damps_a_wave_as_it_says(radius, waves):
     smoothed = curves.smooth(np.column_stack([z.real, z.imag]), wavelength) @ (1.0, 1j)
     mode = np.fft.fft(smoothed)[waves] / 400
     assert abs(mode) == pytest.approx(0.5e-3 * radius, rel=1e-6)
-
-
-def test_area_tells_the_direction_and_a_figure_of_eight_crosses_itself():
-    assert curves.signed_area(circle(2.0, 1000)) == pytest.approx(4.0 * np.pi, rel=1e-4)
-    assert curves.signed_area(circle(2.0, 1000)[::-1]) == pytest.approx(-4.0 * np.pi, rel=1e-4)
-    closed = np.vstack([circle(1.0, 20), circle(1.0, 20)[:1]])
-    assert len(curves.clean_closed(closed)) == 20
-    t = np.linspace(0.0, 2.0 * np.pi, 101)[:-1]
-    eight = np.column_stack([np.sin(t), np.sin(2.0 * t)])
-    assert curves.first_crossing(circle(3.0)) == (-1, -1)
-    i, j = curves.first_crossing(eight)
-    assert 0 <= i < j < 100
-    np.testing.assert_allclose(eight[[i, j]], 0.0, atol=0.2)
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 6, 12, 30, 97, 360, 1801, 3072])
-def test_the_transform_is_numpys(count):
-    rng = np.random.default_rng(count)
-    x = rng.normal(size=count) + 1j * rng.normal(size=count)
-    real, imaginary = curves.transform(x.real.copy(), x.imag.copy())
-    np.testing.assert_allclose(
-        real + 1j * imaginary, np.fft.fft(x), rtol=0, atol=1e-15 * count * np.abs(x).max()
-    )
-
-
-@given(n=st.integers(3, 30), seed=st.integers(0, 2**32 - 1))
-def test_cyclic_systems_are_solved(n, seed):
-    rng = np.random.default_rng(seed)
-    lower, upper = rng.uniform(-1.0, 1.0, (2, n))
-    diagonal = np.abs(lower) + np.abs(upper) + rng.uniform(0.1, 2.0, n)
-    right = rng.normal(size=(n, 2))
-    matrix = np.diag(diagonal)
-    for i in range(n):
-        matrix[i, i - 1] += lower[i]
-        matrix[i, (i + 1) % n] += upper[i]
-    solved = curves.solve_cyclic(lower, diagonal, upper, right)
-    np.testing.assert_allclose(solved, np.linalg.solve(matrix, right), atol=1e-9)
 
 
 @given(
@@ -235,11 +193,3 @@ def test_samples_are_evenly_spaced_whatever_the_points_and_repeated_ones_do_no_h
         0.1,
         error=ValueError,
     )
-
-
-def test_curvature_is_the_change_of_the_heading_per_metre_also_between_distant_points():
-    t, r = [0.0, 0.3, 1.2, 2.0, 2.4, 3.5, 4.4, 5.5], [5.0, 6.0, 4.0, 6.0, 5.0, 7.0, 5.0, 6.0]
-    samples = curves.sample_closed(np.column_stack([r * np.cos(t), r * np.sin(t)]), 0.02)
-    ds = samples.length / len(samples.xy)
-    turned = (samples.psi[2:] - samples.psi[:-2]) / (2.0 * ds)
-    np.testing.assert_allclose(samples.kappa[1:-1], turned, atol=0.01)
