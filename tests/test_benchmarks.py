@@ -6,10 +6,12 @@ import stat
 import sys
 
 import pytest
-from repository import REPOSITORY, load_tool
+from repository import REPOSITORY, load_tool, run_python
 from warm_start import call_python
 
-record, beside = (load_tool(name, "dev/benchmarks") for name in ("record", "beside_f1tenth_gym"))
+record, beside, start_time = (
+    load_tool(name, "dev/benchmarks") for name in ("record", "beside_f1tenth_gym", "start_time")
+)
 
 # of those that compile for a minute, or race the whole zoo
 HELP = ("--help", "python dev/benchmarks/")
@@ -45,6 +47,29 @@ def test_a_script_runs_where_it_says_that_it_runs(file, tmp_path):
         False,
     ), done.stderr
     assert said in (done.stderr if "error" in said else done.stdout)
+
+
+@pytest.mark.parametrize(
+    ("program", "most"),
+    [
+        ("one car alone", 90),
+        *(
+            pytest.param(*row, marks=pytest.mark.benchmarks)
+            for row in [
+                ("README", 190),
+                ("duel", 150),
+                ("pcs-racing race", 150),
+                ("batch with lidar", 190),
+            ]
+        ),
+    ],
+)
+def test_a_first_step_compiles_no_more_functions(program, most, tmp_path, monkeypatch):
+    """What a program does not use is not compiled for it."""
+    text = start_time.PROGRAMS[program]
+    run_python("-c", text, folder=tmp_path)  # builds and keeps the circuit
+    monkeypatch.setenv("NUMBA_OPT", "0")  # the same functions in less time
+    assert start_time.first_step(text, REPOSITORY)[1] <= most
 
 
 def lines(*values: float, processor: str = "here") -> list[dict[str, str]]:
