@@ -325,7 +325,7 @@ class DriveBatch:
         ]
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # starts threads on demand
         self._compiled: Callable[..., None] | None = None
-        effort = 180.0 + 150.0 * bool(planners) + 90.0 * (options.beams > 0)
+        effort = 160.0 + 200.0 * bool(planners) + 100.0 * (options.beams > 0)
         with first_call(step_races, "the control-level environment", effort) as compiling:
             for planner in planners:  # all that may be drawn
                 planner.pointers()

@@ -217,7 +217,7 @@ def _drive_compiled(
         except Exception as error:
             raise planner_error(error, shares, buffers.work) from error
 
-    with first_call(advance_races, "the planners and the race kernel", 300.0) as compiling:
+    with first_call(advance_races, "the planners and the race kernel", 240.0) as compiling:
         crew = Crew(pointers_of(shares, races), parts_for(settings, cars, moving))
         if compiling and runs:
             part(runs[0][0].arrays, 0, 0)
