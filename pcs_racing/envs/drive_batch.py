@@ -75,7 +75,13 @@ from pcs_racing.race.driving import (
     pointers_of,
 )
 from pcs_racing.race.kernel import WORK_SIZE, Crew, Scratch, advance_races, parts_for
-from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
+from pcs_racing.race.races import (
+    RaceSetup,
+    draw_handicaps,
+    start_lines,
+    start_races,
+    winners,
+)
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
 from pcs_racing.race.state import LAPS, RaceState, take
 from pcs_racing.track.track import Track
@@ -261,6 +267,7 @@ class DriveBatch:
         self.randomization = EpisodeRandomization(self.episodes, options, cars=self.cars)
         self.rules = rules = drive_rules(options, players, self.randomization)
         self.setup, self.elements, self.opponents = rules.setup, rules.elements, rules.opponents
+        self.handicaps = self.setup.rules.gives_handicaps
         #: Number of steps of an episode without an early end.
         self.horizon = -(-self.setup.rules.ticks // options.ticks)
         #: Number of steps in a second of racing.
@@ -414,6 +421,9 @@ class DriveBatch:
         for (circuit, some), grid in zip(groups, grids, strict=True):
             self._set_inputs(rows[some], circuit.inputs)
             begun = take(grid, places[some])._replace(seed=seeds[some])
+            if self.handicaps:
+                front = begun.handicap > 0.0
+                begun = begun._replace(handicap=draw_handicaps(self.setup.rules, front, begun.seed))
             for name, own in self.state._asdict().items():
                 own[rows[some]] = getattr(begun, name)
         self._equip(rows)
@@ -618,7 +628,7 @@ class DriveBatch:
         """Return the infos of all players, described in :mod:`pcs_racing.envs.infos`."""
         opponents = self.drawn if self.opponents else np.full(self.episodes, -1)
         return {
-            **race_infos(self.state, self.players, self.state.fault > self._paid),
+            **race_infos(self.state, self.players, self.state.fault > self._paid, self.handicaps),
             **all_poses(self.state.cars, self.players),
             "result": self._outcomes().reshape(-1),
             "opponent": np.repeat(opponents, self.players),
@@ -650,7 +660,7 @@ class DriveBatch:
         """Return the info of one player as plain numbers; faster than arrays of length one."""
         race, car = divmod(environment, self.players)
         blamed = self.state.fault.item(race, car) > self._paid.item(race, car)
-        info = race_info(self.state, race, car, blamed)
+        info = race_info(self.state, race, car, blamed, self.handicaps)
         over = (
             any(self.state.crash[race].tolist())
             or self.state.tick.item(race) >= self._inputs[race].settings.end_tick

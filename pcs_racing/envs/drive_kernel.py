@@ -24,12 +24,12 @@ from pcs_racing.car.lidar_kernel import (
     scan_moving,
     scan_walls,
 )
-from pcs_racing.race.config import CONTROL_EVERY, DT
+from pcs_racing.race.config import CONTROL_EVERY, DT, FULL_SIGHT
 from pcs_racing.race.kernel import Crew, KernelSettings, Races, Scratch
 from pcs_racing.race.positions import gap_to, laps_driven
-from pcs_racing.race.sensing import opponent_lost, sense_cars
+from pcs_racing.race.sensing import UNSEEN, sense_cars
 from pcs_racing.race.state import MAX_CARS
-from pcs_racing.race.steering import disturbed_speed
+from pcs_racing.race.steering import disturbed_speed, slowed
 from pcs_racing.track.frenet import (
     KAPPA,
     LEFT,
@@ -45,10 +45,9 @@ OWN_ELEMENTS = 8  # numbers about the own car
 STRETCH_ELEMENTS = 4  # numbers about each look-ahead distance
 OPPONENT_ELEMENTS = 9  # numbers about each opponent; they follow
 
-# Rows: velocity of each car of a race, its gap ahead of the observing car; order of the others; a
-# flag for lost opponents.
-_VX, _VY, _GAP, _ORDER, _LOST = range(5)
-SEEN_SHAPE = (5, MAX_CARS)
+# Rows: velocity of each car of a race, its gap ahead of the observing car; order of the others.
+_VX, _VY, _GAP, _ORDER = range(4)
+SEEN_SHAPE = (4, MAX_CARS)
 
 # Separates the noise of the lidar from the noise of the steering, which has the same key.
 _LIDAR_KEY = np.uint64(0x5851F42D4C957F2D)
@@ -66,6 +65,7 @@ class Sight(NamedTuple):
     #: wall hides the opponent or it is too far away.
     in_sight: bool | None
     time_left: bool  #: Flag: the remaining share of the race is included.
+    handicap: bool  #: Flag: the share of its commanded speed that the own car lacks is included.
     end_tick: int  #: Duration of a race in steps of 0.01 s.
     beams: Beams  #: Beams of the lidar; without beams there is no scan.
     low: NDArray[Any]  #: shape (n,): Lower bounds of the elements; values are clipped.
@@ -247,11 +247,16 @@ def _in_sight(track, cars, race, car, other, reach):
 
 
 @inner_kernel
-def _sort_opponents(length, frenet, race, car, seen):
-    """Write the gaps to the other cars, and the order of observation: the nearest car first."""
+def _sort_opponents(length, cars, frenet, race, car, seen):
+    """Write the gaps to the other cars, and the order of observation: the nearest car first.
+
+    Cars at x = `UNSEEN` come last.
+    """
     count = 0
     for other in range(frenet.shape[1]):
         gap = gap_to(length, frenet, race, car, other)
+        if cars[race, other, _vehicle.X] == UNSEEN:
+            gap = np.inf
         seen[_GAP, other] = gap
         if other != car:
             at = count
@@ -321,25 +326,10 @@ def scan_imperfect(inputs, races, race, car, buffers, out):
 
 @inner_kernel
 def sense(inputs, races, race, car, buffers):
-    """Write the cars of a race as one of them measures them, and whether it sees no other car."""
-    track, state, own = inputs.track, races.state, races.vehicles[race, car]
-    seed, tick = state.seed[race], state.tick[race]
-    sense_cars(
-        track.line,
-        track.ds,
-        track.length,
-        state.cars,
-        state.frenet,
-        state.progress,
-        race,
-        car,
-        own,
-        seed,
-        tick,
-        state.memory[race, car],
-        (buffers.cars, buffers.frenet, buffers.progress),
-    )
-    buffers.seen[_LOST, 0] = 1.0 if opponent_lost(own, seed, car, tick) else 0.0
+    """Write the cars of a race as one of them measures them."""
+    seen = buffers.cars, buffers.frenet, buffers.progress
+    sight = inputs.settings.sight
+    sense_cars(inputs.track, races.state, race, car, races.vehicles[race], sight, seen)
 
 
 @inner_kernel(forceinline=True)
@@ -350,13 +340,14 @@ def _see_others(inputs, races, race, car, measured, at, seen, row, k):
     """
     track, sight = inputs.track, inputs.sight
     cars, frenet, progress = measured
-    number, lost = cars.shape[1], seen[_LOST, 0] != 0.0
+    number = cars.shape[1]
     _see_velocities(cars, at, seen)
     sine, cosine = sine_cosine(cars[at, car, _vehicle.PSI])
-    _sort_opponents(track.length, frenet, at, car, seen)
+    _sort_opponents(track.length, cars, frenet, at, car, seen)
     for nth in range(sight.others):
-        hidden = lost or nth >= number - 1
+        hidden = nth >= number - 1
         other = 0 if hidden else int(seen[_ORDER, nth])
+        hidden = hidden or cars[at, other, _vehicle.X] == UNSEEN
         if sight.in_sight and not hidden:
             reach = sight.beams.max_range
             hidden = not _in_sight(track, races.state.cars, race, car, other, reach)
@@ -376,7 +367,6 @@ def _observe(in_sight, inputs, races, eyes, race, car, buffers):
     track, sight, state = inputs.track, inputs.sight, races.state
     row, memory = buffers.row, state.memory[race, car]
     cars, frenet, progress, at = state.cars, state.frenet, state.progress, race
-    buffers.seen[_LOST, 0] = 0.0
     if eyes.sense != 0:
         _call(eyes.sense, (inputs, races, race, car, buffers))
         cars, frenet, progress, at = buffers.cars, buffers.frenet, buffers.progress, 0
@@ -398,6 +388,9 @@ def _observe(in_sight, inputs, races, eyes, race, car, buffers):
     k += OPPONENT_ELEMENTS * sight.others
     if sight.time_left:
         row[k] = 1.0 - state.tick[race] / sight.end_tick
+        k += 1
+    if sight.handicap:
+        row[k] = state.handicap[race, car]
         k += 1
     if eyes.scan != 0:
         _call(eyes.scan, (inputs, races, race, car, buffers, row[k:]))
@@ -453,8 +446,10 @@ def set_commands(actions, limits, races, first, last):
             if now:
                 # Late commands follow the period of their queue.
                 if vehicles[race, car, _vehicle.SPEED_DELAY] == 0.0:
+                    v = state.cars[race, car, _vehicle.V]
+                    speed = slowed(memory[1], state.handicap[race, car], v)
                     command[1] = disturbed_speed(
-                        memory[1], vehicles[race, car], state.seed[race], car, state.tick[race]
+                        speed, vehicles[race, car], state.seed[race], car, state.tick[race]
                     )
                 if vehicles[race, car, _vehicle.STEER_DELAY] == 0.0:
                     command[0] = memory[0] + state.disturbance[race, car]
@@ -504,6 +499,7 @@ def eyes_for(inputs: Inputs, races: Races, buffers: Buffers, moving: bool) -> Ey
     used = (vehicles != 0.0).any(axis=0).tolist()
     blurred = any(used[_vehicle.POSE_NOISE : _vehicle.OPPONENT_LOST + 1])
     arguments = inputs, races, 0, 0, buffers
+    blurred |= inputs.settings.sight < FULL_SIGHT and races.vehicles.shape[1] > 1
     eyes = Eyes(sense=compiled_address(sense, *arguments) if blurred else 0)
     if len(inputs.sight.beams.cos) == 0:
         return eyes

@@ -19,7 +19,7 @@ from pcs_racing.car.lidar_kernel import FIELD_OF_VIEW, MAX_BEAMS, MAX_RANGE, Bea
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.envs.drive_kernel import Limits, Sight
 from pcs_racing.envs.randomization import EpisodeOptions
-from pcs_racing.race.config import DT, MAX_LAPS, Rules
+from pcs_racing.race.config import DT, MAX_LAPS, Rules, load_rules
 from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.track import Track
 
@@ -198,6 +198,11 @@ class DriveOptions(EpisodeOptions):
         return round(self.time_step / DT)
 
     @property
+    def sees_handicap(self) -> bool:
+        """Whether the own handicap is observed: where the rules give any."""
+        return load_rules(self.rules).gives_handicaps
+
+    @property
     def cars_given(self) -> tuple[VehicleParams, ...]:
         """Parameters of the agents' cars."""
         return self.vehicle if isinstance(self.vehicle, tuple) else (self.vehicle,)
@@ -225,6 +230,8 @@ def drive_arguments(options: DriveOptions, cars: int) -> dict[str, Any]:
         "cars": cars,
         "look_ahead": list(options.look_ahead),
     }
+    if options.sees_handicap:
+        values["front_pace"] = list(load_rules(options.rules).front_pace)
     vehicles = options.cars_given
     if any(car != F1TENTH for car in vehicles):
         values["vehicle"] = [asdict(car) for car in vehicles]
@@ -336,6 +343,10 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
         elements.append(
             Element("time left", "1", 0.0, 1.0, "share of the race's duration that is left")
         )
+    if options.sees_handicap:
+        elements.append(
+            Element("handicap", "1", 0.0, 1.0, "share of the commanded speed that the car lacks")
+        )
     elements += [
         Element(
             f"beam {k}",
@@ -385,6 +396,7 @@ def make_sight(options: DriveOptions, cars: int, players: int, track: Track) -> 
         others=0 if options.see_opponent == SEE_OPPONENT[0] else max(1, cars - 1),
         in_sight=options.see_opponent == SEE_OPPONENT[1] if cars > 1 else None,
         time_left=options.time_left,
+        handicap=options.sees_handicap,
         end_tick=0,
         beams=beams,
         low=low,

@@ -379,7 +379,7 @@ class GameBatch:
         moves = np.where(state.policy == OUTSIDE, NO_MOVE, self.moves)
         opponents = self.drawn if self.opponents else np.full(self.episodes, -1)
         return {
-            **race_infos(state.race, players, self.blamed),
+            **race_infos(state.race, players, self.blamed, self.game.rules.gives_handicaps),
             "result": self._results().reshape(-1),
             "opponent": np.repeat(opponents, players),
             "move": of_players(moves, players),

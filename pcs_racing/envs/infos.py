@@ -23,6 +23,7 @@ Every environment uses the same names, and every value is a number or an array o
 | `track` | number of the episode's track, if there are several |
 | `obstacles` | number of obstacles on the track, if they are drawn |
 | `mu`, `m`, ... | values drawn for the cars (:mod:`pcs_racing.envs.draws`), by field (3) |
+| `handicap` | share of the commanded speed that the own car lacks, by ``front_pace`` of the rules |
 | `action_mask` | 1 for each valid move (int8) |
 
 (1) If contacts do not end a race, the code of a crash lasts as long as the contact, and ``fault``
@@ -99,11 +100,12 @@ def max_of_others(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def race_infos(
-    races: RaceState, players: int, blamed: NDArray[np.bool_]
+    races: RaceState, players: int, blamed: NDArray[np.bool_], handicaps: bool = False
 ) -> dict[str, NDArray[Any]]:
     """Return the infos of the players' cars in all races of a batch, shape (B * players, ...).
 
     The result is not included. ``blamed``, shape (B, N): True for a car at fault in the last step.
+    ``handicaps``: True for rules that give handicaps.
     """
     progress, crash = races.progress, races.crash | races.contact
     others = max_of_others(crash) if races.number > 1 else np.zeros_like(crash)
@@ -125,6 +127,7 @@ def race_infos(
         "lap_time": last,
         "best_lap": best,
         **({"lap_times": of_players(_lap_times(races), players)} if by_laps else {}),
+        **({"handicap": of_players(races.handicap, players)} if handicaps else {}),
     }
 
 
@@ -179,7 +182,9 @@ def race_results(
     return np.where(winner[:, None] < 0, unwon[:, None], won).astype(np.int64)
 
 
-def race_info(races: RaceState, race: int, car: int, blamed: bool) -> dict[str, Any]:
+def race_info(
+    races: RaceState, race: int, car: int, blamed: bool, handicaps: bool = False
+) -> dict[str, Any]:
     """Return the infos of one car in one race as plain numbers, and lap times as an array.
 
     This is ten times faster than `race_infos` with arrays of length one.
@@ -202,6 +207,7 @@ def race_info(races: RaceState, race: int, car: int, blamed: bool) -> dict[str, 
         "lap_time": laps[LAP_TIME] if begun else NO_LAP,
         "best_lap": laps[BEST_LAP] if begun else NO_LAP,
         **({"lap_times": _lap_times(races)[race, car]} if len(laps) > LAP_COLUMNS else {}),
+        **({"handicap": races.handicap.item(race, car)} if handicaps else {}),
     }
 
 

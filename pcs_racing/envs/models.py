@@ -39,6 +39,7 @@ from pcs_racing.game.players import model_agent
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.racers import Racer, Reader, Request, own_name
 from pcs_racing.planners.shipped import split_options
+from pcs_racing.race.config import load_rules
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.state import MAX_CARS, RaceState
 from pcs_racing.track.loading import load_track
@@ -233,8 +234,10 @@ def model_policy(
     if given.pop("environment", "drive") != "drive":
         raise InputError(f"model {name!r} was trained in a game of moves: it is an agent")
     number = check_whole("cars", given.pop("cars", 2) if cars is None else cars, 1, MAX_CARS)
+    if "front_pace" in given:
+        given["rules"] = load_rules("contest", front_pace=given.pop("front_pace"))
     for key in given:
-        if key not in (*KEPT, "vehicle"):
+        if key not in (*KEPT, "rules", "vehicle"):
             raise InputError(
                 f"a model's argument {key!r} is unknown; there are cars, {', '.join(KEPT)}"
             )

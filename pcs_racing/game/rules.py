@@ -191,7 +191,8 @@ class RaceGame:
     @cached_property
     def observation_elements(self) -> tuple[ObservationElement, ...]:
         """Name, unit, bounds and meaning of each of the D numbers of an observation."""
-        return observation_elements(self.characteristics, self.rules.moves)
+        rules = self.rules
+        return observation_elements(self.characteristics, rules.moves, rules.gives_handicaps)
 
     # Start
 
@@ -442,7 +443,8 @@ class RaceGame:
 
         The numbers are in the order of :attr:`observation_elements`.
         """
-        return encode_observation(state.own, state.estimates, state.leads, state.step)
+        handicaps = state.race.handicap if self.rules.gives_handicaps else None
+        return encode_observation(state.own, state.estimates, state.leads, state.step, handicaps)
 
     # A step of driving
 

@@ -171,7 +171,7 @@ class Situation(NamedTuple):
     slope: float  #: Change of this distance along the line.
     v: float  #: Own speed, at least 0.5 m/s.
     width: float  #: Own width, m.
-    scale: float  #: Speed scale of the policy's pace.
+    scale: float  #: Speed scale of the policy's pace, less the own handicap.
     grip: float  #: Lateral acceleration that a move may ask for, m/s^2.
     gap: float  #: Distance to the opponent along the track, positive ahead, without laps, m.
     opponent_d: float  #: Opponent's distance from the race line, m.
@@ -342,6 +342,7 @@ def situation(track, theta, view, memory):
     gap = view[_view.GAP]
     pace = _pace_now(theta[PACE], theta[PACE_BEHIND], gap)
     scale = view[_view.SPEED_LOW] + pace * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
+    scale *= 1.0 - view[_view.HANDICAP]
     laps = np.floor((gap + 0.5 * track.length) / track.length)
     gap -= laps * track.length  # the position of the other car counts, not its laps
     reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + BUMPER_AIR
@@ -793,7 +794,8 @@ def _write_path(track, view, laid, scratch, g, f, path):
     """
     line, now, way = track.line, laid.now, laid.way
     s0, grip, reach, per_ds = now.s, now.grip, way.length, 1.0 / track.ds
-    at_scale = scratch[rows.SCALE + f]
+    commanded = 1.0 / (1.0 - view[_view.HANDICAP])  # per driven speed
+    at_scale = commanded * scratch[rows.SCALE + f]
     most = _following_speed(scratch, s0, 0) if now.follows and f == FOLLOWS else np.inf
     # As in the profile at this scale, limited.
     braking = min(BRAKING * grip / GRIP, _pursuit.BRAKING)
@@ -826,7 +828,7 @@ def _write_path(track, view, laid, scratch, g, f, path):
         x, y, _ = _frenet.offset(line, track.ds, track.length, at, aside)
         if now.attacks and f == ATTACKS:
             row, share = _metre_at(driven)
-            speed = _speed_ahead(scratch, ATTACKS, row, share)
+            speed = commanded * _speed_ahead(scratch, ATTACKS, row, share)
         else:
             speed = at_scale * line[i, _frenet.SPEED]
         _pursuit.write_point(path, j, x, y, min(speed, np.sqrt(square), most), bent + back)

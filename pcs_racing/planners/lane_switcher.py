@@ -264,9 +264,8 @@ def control(track, theta, view, memory, scratch, path, command):
         if view[_view.TIME] > 0.0:
             steer += theta[DERIVATIVE] * (error - memory[_ERROR])
     memory[_ERROR] = error
-    command[1], acceleration = calm_speed(
-        v, _speed(track, theta, view, memory, s0 + SPEED_PREVIEW * v)
-    )
+    speed = _speed(track, theta, view, memory, s0 + SPEED_PREVIEW * v)
+    command[1], acceleration = calm_speed(view, speed)
     steer += (view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration) * v * v * kappa
     command[0] = min(max(steer, -STEER_LIMIT), STEER_LIMIT)
 

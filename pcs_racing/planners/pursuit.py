@@ -88,14 +88,15 @@ def within_grip(view, acceleration):
 
 
 @kernel(forceinline=True)
-def calm_speed(v, speed):
+def calm_speed(view, speed):
     """Return the target speed, limited to stable braking, and the acceleration that it commands.
 
     The controller brakes by 10 times the speed error. Beyond about 6 m/s^2 the unloaded rear axle
-    loses grip.
+    loses grip. A car with a handicap drives its share of the target speed.
     """
-    speed = max(speed, v - 0.1 * BRAKING)
-    return speed, min(10.0 * (speed - v), 9.5)
+    v, share = view[_view.OWN_V], 1.0 - view[_view.HANDICAP]
+    speed = max(speed, (v - 0.1 * BRAKING) / share)
+    return speed, min(10.0 * (share * speed - v), 9.5)
 
 
 @kernel(forceinline=True)
@@ -151,7 +152,7 @@ def follow_path(track, theta, view, memory, scratch, path, command):
             kappa = path[j, _view.PATH_KAPPA]
             break
         before = after
-    speed, acceleration = calm_speed(v, speed)
+    speed, acceleration = calm_speed(view, speed)
     command[0] = pursuit_steering(view, goal_x, goal_y, kappa, acceleration)
     command[1] = speed
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Interval, MultipleOf
@@ -26,6 +26,16 @@ def _speed_range(name: str, value: Any) -> tuple[float, float]:
     if not pair or not 0.1 <= value[0] < value[1] <= 3.0:
         raise InputError(f"{name} is {value!r}; it must be [low, high] with 0.1 <= low < high <= 3")
     return value[0], value[1]
+
+
+def _front_pace(name: str, value: Any) -> tuple[float, float]:
+    """Return two shares of the speed as a tuple."""
+    pair = isinstance(value, list | tuple) and len(value) == 2 and all(map(is_number, value))
+    if not pair or not 0.1 <= value[0] <= value[1] <= 1.0:
+        raise InputError(
+            f"{name} is {value!r}; it must be [low, high] with 0.1 <= low <= high <= 1"
+        )
+    return float(value[0]), float(value[1])
 
 
 def _printable(name: str, value: Any) -> str:
@@ -97,6 +107,8 @@ MAX_LAPS = 100
 MAX_SECONDS = 3600.0
 LAP_SECONDS = 40.0  # s: default length of a race, and of each lap of a race with laps
 
+FULL_SIGHT = 2.0 * np.pi  # rad
+
 CONTACTS = ("end", "stop", "restart")
 """Consequences of a contact, each at its index in the kernel."""
 
@@ -107,6 +119,9 @@ class Rules(Settings):
 
     The game is the game of Section V of the paper, with the choices left open there as options.
     """
+
+    #: Fields that change no fingerprint at their defaults: results made before them stay valid.
+    added_fields: ClassVar[tuple[str, ...]] = ("sight", "front_pace")
 
     name: Annotated[
         Text, Checked(_printable), "Name of the rules in archives, trees, networks and results."
@@ -156,6 +171,18 @@ class Rules(Settings):
     noise_time: Annotated[
         float, Interval(ge=0.01, le=60.0), "Correlation time of that disturbance, s."
     ] = 0.28
+    sight: Annotated[
+        float,
+        Interval(ge=0.1, le=FULL_SIGHT),
+        "Angle around the heading of the lidar in which a car sees other cars, rad; a car is out of"
+        " sight when all four of its corners lie outside.",
+    ] = FULL_SIGHT
+    front_pace: Annotated[
+        tuple[float, float],
+        Checked(_front_pace, "0.1 <= low <= high <= 1"),
+        "Range of the factor on the speed of the car in front at the start, drawn for each race;"
+        " without effect on cars that start side by side.",
+    ] = (1.0, 1.0)
     speed_range: Annotated[
         tuple[float, float] | None,
         Checked(_speed_range, "0.1 <= low < high <= 3"),
@@ -193,7 +220,8 @@ class Rules(Settings):
     heats: Annotated[
         int,
         Interval(ge=1, le=99),
-        "Races per scored series of a tournament, from alternate sides: best of so many.",
+        "Races per scored series of a tournament, from alternate sides: best of so many; 2 for two"
+        " legs of the same race, scored by the sum of their rewards.",
     ] = 1
     steps: Annotated[
         tuple[float, ...],
@@ -251,6 +279,16 @@ class Rules(Settings):
         if self.duration is not None:
             return self.duration
         return min(LAP_SECONDS * (self.laps or 1), MAX_SECONDS)
+
+    @property
+    def legs(self) -> int:
+        """Number of races with the same key, from exchanged places: 2 if a series has two."""
+        return 2 if self.heats == 2 else 1
+
+    @property
+    def gives_handicaps(self) -> bool:
+        """Whether the car in front at the start is slower than its driver commands."""
+        return self.front_pace[0] < 1.0 and self.start != "side-by-side"
 
     @property
     def ticks(self) -> int:
@@ -312,18 +350,26 @@ CONTEST = Rules(
     start_gap=1.4,
     start_spacing=0.45,
     steering_noise=0.02,
+    sight=4.7,
+    front_pace=(0.88, 1.0),
     crash_rule="fault-loses",
     aggressiveness="speed",
+    heats=2,
+    utility="lead-at-crash",
+    fault_penalty=20.0,
     steps=(0.0, 2.0, 6.0, 8.0, 8.0, 8.0, 8.0),
     stay=True,
 )
-"""The race in which adapting pays: staggered, disturbed, the car at fault loses."""
+"""A race with a reason to pass: the slower car starts in front and does not see behind itself; two
+legs with exchanged grids, scored by the sum of their leads.
+"""
 
 ROBORACER = Rules(
     name="roboracer",
     start_spacing=0.62,
     start_speed=0.0,
     steering_noise=0.02,
+    sight=4.7,
     crash_rule="fault-loses",
     aggressiveness="speed",
     contact="restart",

@@ -13,7 +13,7 @@ from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError, check_whole
 from pcs_racing.base.numba_parts import config as numba_config
 from pcs_racing.car.lanes import LANES
-from pcs_racing.car.vehicle import SPEED_DELAY, SPEED_NOISE, STEER_DELAY, VehicleParams
+from pcs_racing.car.vehicle import SPEED_DELAY, SPEED_NOISE, STEER_DELAY, V, VehicleParams
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, held_command
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions, Share
@@ -30,7 +30,7 @@ from pcs_racing.race.kernel import (
     parts_for,
 )
 from pcs_racing.race.state import RaceState
-from pcs_racing.race.steering import disturbed_speed
+from pcs_racing.race.steering import disturbed_speed, slowed
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
 
@@ -92,6 +92,7 @@ def kernel_settings(rules: Rules, speed_range: tuple[float, float]) -> KernelSet
         ittc_horizon=float(rules.ittc_horizon),
         contact=CONTACTS.index(rules.contact),
         most_faults=rules.most_faults,
+        sight=float(rules.sight),
     )
 
 
@@ -295,9 +296,11 @@ def _ask_python_drivers(
             now = state.tick[rows] % CONTROL_EVERY != 0
             prompt = now & (cars[rows, car, SPEED_DELAY] == 0.0)
             state.command[rows[prompt], car, 1] = given[prompt, 1]
-            for row in rows[prompt & (cars[rows, car, SPEED_NOISE] > 0.0)]:
+            changed = (cars[rows, car, SPEED_NOISE] > 0.0) | (state.handicap[rows, car] > 0.0)
+            for row in rows[prompt & changed]:
+                v = state.cars[row, car, V]
                 state.command[row, car, 1] = disturbed_speed(
-                    state.memory[row, car, 1],
+                    slowed(state.memory[row, car, 1], state.handicap[row, car], v),
                     cars[row, car],
                     state.seed[row],
                     car,

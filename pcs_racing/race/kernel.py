@@ -15,6 +15,7 @@ from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.numba_parts import address_for, call_with
 from pcs_racing.base.seeds import normal_noise
 from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.car.collision import Rectangle
 from pcs_racing.car.ittc import rectangle_ittc, walls_ittc
 from pcs_racing.car.lanes import (
     LANES,
@@ -31,7 +32,7 @@ from pcs_racing.planners import view as _view
 from pcs_racing.planners.calling import TRACK, call_control, call_plan
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.race import state as _state
-from pcs_racing.race.config import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
+from pcs_racing.race.config import CONTROL_EVERY, DT, FULL_SIGHT, ITTC_EVERY, PLAN_EVERY
 from pcs_racing.race.contacts import END, settle_contacts
 from pcs_racing.race.positions import (
     collide,
@@ -43,12 +44,14 @@ from pcs_racing.race.positions import (
 from pcs_racing.race.sensing import (
     blur_view,
     opponent_lost,
+    out_of_sight,
     remember_cars,
     scan_key,
+    seen_car,
     senses_exactly,
 )
 from pcs_racing.race.state import RaceState
-from pcs_racing.race.steering import send_late
+from pcs_racing.race.steering import send_late, slowed
 from pcs_racing.track.frenet import (
     COS,
     LATERAL_OF_PROFILE,
@@ -98,6 +101,7 @@ class KernelSettings(NamedTuple):
     ittc_horizon: float
     contact: int  #: Index in :data:`pcs_racing.race.config.CONTACTS`.
     most_faults: int  #: Number of a car's faults that ends the race; 0 for no limit.
+    sight: float  #: Angle in which a car sees other cars, rad.
 
 
 class Races(NamedTuple):
@@ -116,7 +120,7 @@ class Parts(NamedTuple):
 
     ittc: Any = 0  #: Samples of the minimum time to collision.
     settle: Any = 0  #: Contacts that do not end a race.
-    sense: Any = 0  #: Errors and delays of a car's sensors.
+    sense: Any = 0  #: Limited sight, errors and delays of a car's sensors.
     send: Any = 0  #: Delays and noise of a car's commands.
     grip: Any = 0  #: Grip of cars with Pacejka tyres, in their views.
     slide: Any = 0  #: Steps of cars with Pacejka tyres.
@@ -146,7 +150,7 @@ _PART = (
     TRACK,
     typeof(_state.empty_state(1, 1)),
     types.Array(types.float64, 2, "C"),
-    typeof(KernelSettings(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0)),
+    typeof(KernelSettings(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0)),
     types.int64,
     types.int64,
     types.Array(types.float64, 1, "C"),
@@ -157,7 +161,7 @@ _call_part = call_with(_PART)
 
 
 @inner_kernel
-def _fill_fixed(own, settings, usable, view):
+def _fill_fixed(own, settings, usable, handicap, view):
     """Write the constants of a race into a view: the car's parameters and the range of speeds.
 
     ``usable`` is the car's usable lateral acceleration, infinite for linear tyres.
@@ -181,6 +185,7 @@ def _fill_fixed(own, settings, usable, view):
     share = min(np.sqrt(usable / LATERAL_OF_PROFILE) / settings.speed_high, 1.0)
     view[_view.SPEED_LOW] = share * settings.speed_low
     view[_view.SPEED_HIGH] = share * settings.speed_high
+    view[_view.HANDICAP] = handicap
     for k in range(_view.SCAN_KEY - _view.LIDAR_X):
         view[_view.LIDAR_X + k] = own[_vehicle.LIDAR_X + k]
 
@@ -189,7 +194,7 @@ def _fill_fixed(own, settings, usable, view):
 def _fill_grip(track, state, vehicles, settings, race, car, view):
     """Write the constants of a race for a car with any tyres; it brakes into bends."""
     usable = USED_GRIP * _vehicle.peak_acceleration(vehicles[car], -BRAKING)
-    _fill_fixed(vehicles[car], settings, usable, view)
+    _fill_fixed(vehicles[car], settings, usable, state.handicap[race, car], view)
 
 
 @inner_kernel(forceinline=True)
@@ -239,15 +244,40 @@ def _fill_opponent(track, state, race, car, other, vehicles, view):
     view[_view.GAP] = state.progress[race, other] - state.progress[race, car]
 
 
+@inner_kernel(forceinline=True)
+def _look(track, state, vehicles, settings, race, car, view):
+    """Write the nearest car in sight as the opponent into a view; return the car, -1 for none."""
+    if state.cars.shape[1] == 1:
+        return -1
+    nearest = nearest_car(track.length, state.frenet, race, car)
+    if settings.sight >= FULL_SIGHT:
+        return nearest
+    other = seen_car(track.length, state, race, car, vehicles, settings.sight)
+    if other < 0:
+        # A driver still knows who leads.
+        leads = view[_view.GAP] > 0.0
+        _fill_nobody(track.length, vehicles[car], view)
+        view[_view.GAP] *= 1.0 if leads else -1.0
+    elif other != nearest:
+        _fill_opponent(track, state, race, car, other, vehicles, view)
+    return other
+
+
+@inner_kernel
+def _look_around(track, state, vehicles, settings, race, car, view):
+    """Look around, in a race of cars with exact sensors."""
+    _look(track, state, vehicles, settings, race, car, view)
+
+
 @inner_kernel
 def _sense(track, state, vehicles, settings, race, car, view):
     """Change an exact view into what a car measures, with the errors of its sensors."""
     own, tick, seed = vehicles[car], state.tick[race], state.seed[race]
     view[_view.SCAN_KEY] = scan_key(own, seed, car, tick)
+    other = _look(track, state, vehicles, settings, race, car, view)
     if senses_exactly(own):
         return
     number = state.cars.shape[1]
-    other = nearest_car(track.length, state.frenet, race, car) if number > 1 else -1
     blur_view(
         track.line,
         track.ds,
@@ -269,8 +299,7 @@ def _sense(track, state, vehicles, settings, race, car, view):
 @inner_kernel
 def _remember_and_sense(track, state, vehicles, settings, race, car, view):
     """Sense at a command: such cars are also remembered, to be seen late."""
-    memory, tick = state.memory[race, car], state.tick[race]
-    remember_cars(state.cars, state.frenet, state.progress, race, vehicles[car], tick, memory)
+    remember_cars(state, race, car, vehicles, settings.sight)
     _sense(track, state, vehicles, settings, race, car, view)
 
 
@@ -314,10 +343,16 @@ def _meet(track, state, vehicles, settings, race, car, view):
     moving, line, ds, length = track.moving, track.line, track.ds, track.length
     time, nearest, own = view[_view.TIME], -1, view[_view.OWN_S]
     gap = shorter_way(length, view[_view.OPP_S] - own)
+    here = state.cars[race, car]
     for k in range(moving.shape[0]):
         ahead = shorter_way(length, lane_at(moving, ds, length, line.shape[0], k, time)[0] - own)
         if abs(ahead) < abs(gap):
-            nearest, gap = k, ahead
+            half = moving[k, HALF_WIDTH]
+            half = half if half > 0.0 else moving[k, HALF_LENGTH]
+            x, y, psi = pose_at(moving, line, ds, length, k, time)
+            seen = Rectangle(x, y, psi, moving[k, HALF_LENGTH], half)
+            if not out_of_sight(here, vehicles[car], seen, settings.sight):
+                nearest, gap = k, ahead
     if nearest < 0:
         return
     s, d, across = lane_at(moving, ds, length, line.shape[0], nearest, time)
@@ -461,7 +496,7 @@ def _begin(track, races, settings, crew, ticks, race, place, work):
         at = _VIEWS + lane * _view.VIEW_SIZE
         view = work[at : at + _view.VIEW_SIZE]
         if crew.parts.grip == 0:
-            _fill_fixed(vehicles[car], settings, np.inf, view)
+            _fill_fixed(vehicles[car], settings, np.inf, state.handicap[race, car], view)
         else:
             _call_part(crew.parts.grip, (track, state, vehicles, settings, race, car, view))
     left = settings.end_tick - state.tick[race]
@@ -501,6 +536,8 @@ def _command(drivers, track, races, settings, parts, race, place, buffers):
             draw = noise_sd * share * normal_noise(state.seed[race], car, tick)
             state.disturbance[race, car] = settings.noise_keep * state.disturbance[race, car] + draw
             command[0] += state.disturbance[race, car]
+        v = state.cars[race, car, _vehicle.V]
+        command[1] = slowed(command[1], state.handicap[race, car], v)
         if parts.send != 0:
             _call_part(parts.send, (track, state, vehicles, settings, race, car, command))
         set_target(work, lane, command[0], command[1])
@@ -617,7 +654,7 @@ def advance_races(track, races, settings, crew, ticks, first, last, buffers):
 _KERNELS = Parts(
     ittc=_measure_ittc,
     settle=settle_contacts,
-    sense=_remember_and_sense,
+    sense=_look_around,
     send=send_late,
     grip=_fill_grip,
     slide=_slide,
@@ -632,16 +669,18 @@ def parts_for(settings: KernelSettings, vehicles: NDArray[np.float64], moving: b
     ``moving``: there are moving obstacles.
     """
     used = (vehicles.reshape(-1, vehicles.shape[-1]) != 0.0).any(axis=0).tolist()
-    noisy = used[_vehicle.LIDAR_NOISE] or used[_vehicle.LIDAR_LOST]
+    blurred = used[_vehicle.LIDAR_NOISE] or used[_vehicle.LIDAR_LOST]
+    blurred = blurred or any(used[_vehicle.POSE_NOISE : _vehicle.OPPONENT_LOST + 1])
+    kernels = _KERNELS._replace(sense=_remember_and_sense) if blurred else _KERNELS
     wanted = Parts(
         ittc=settings.ittc_horizon > 0.0,
         settle=settings.contact != END,
-        sense=noisy or any(used[_vehicle.POSE_NOISE : _vehicle.OPPONENT_LOST + 1]),
+        sense=blurred or (settings.sight < FULL_SIGHT and vehicles.shape[-2] > 1),
         send=used[_vehicle.STEER_DELAY] or used[_vehicle.SPEED_DELAY] or used[_vehicle.SPEED_NOISE],
         grip=used[_vehicle.TYRES],
         slide=used[_vehicle.TYRES],
         meet=moving,
         touch=moving,
     )
-    both = zip(_KERNELS, wanted, strict=True)
+    both = zip(kernels, wanted, strict=True)
     return Parts._make(address_for(part, _PART) if needed else 0 for part, needed in both)

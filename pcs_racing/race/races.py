@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError, check_seed
-from pcs_racing.base.seeds import race_seeds
+from pcs_racing.base.seeds import race_seed, random_bits
 from pcs_racing.car.vehicle import (
     COMMAND_PERIOD,
     F1TENTH,
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from pcs_racing.planners.planner import Planner, Policy
 
 TIE_WITHIN = 0.01  # m of lead
+
+HANDICAP_DRAW = 1000  # attempt of `random_bits`; draws of games have lower ones
 
 Drivers = Any
 """Racer of a car in all races (:func:`pcs_racing.racer`), or a list of a racer for each race."""
@@ -198,6 +200,10 @@ def start_races(
     )
     _check_delays(setup, conditions)
     state.seed[:] = seeds
+    if rules.gives_handicaps and state.number > 1:
+        place = starts.side[:, None] + np.arange(state.number)
+        front = place % places_of_grid(state.number) == 0
+        state.handicap[:] = draw_handicaps(rules, front, state.seed)
     if state.crashed.any():
         i = int(np.flatnonzero(state.crashed)[0])
         raise InputError(
@@ -206,6 +212,24 @@ def start_races(
             f" {spacing:g} m"
         )
     return state
+
+
+def race_keys(rules: Rules, seed: int, index: ArrayLike) -> NDArray[np.uint64]:
+    """Return the keys of some races of a batch by their indices; two legs share one."""
+    numbers = np.asarray(index) // rules.legs
+    return np.array([race_seed(seed, int(number)) for number in numbers], np.uint64)
+
+
+def draw_handicaps(
+    rules: Rules, front: NDArray[np.bool_], seeds: NDArray[np.uint64]
+) -> NDArray[np.float64]:
+    """Return the handicaps of the cars, shape (B, N), drawn from the keys of the races.
+
+    ``front``, shape (B, N): True for the car in front at the start.
+    """
+    low, high = rules.front_pace
+    drawn = (random_bits(seeds, HANDICAP_DRAW)[:, :1] >> np.uint64(11)).astype(np.float64)
+    return np.where(front, 1.0 - low - (high - low) * (drawn * 2.0**-53), 0.0)
 
 
 def _check_delays(setup: RaceSetup, conditions: RaceConditions) -> None:
@@ -398,7 +422,7 @@ def run_field(
         raise InputError(
             f"there are {races} races but {len(starts)} starts; give one start for each race"
         )
-    seeds = race_seeds(seed, races)
+    seeds = race_keys(rules, seed, np.arange(races))
     # All races of one call of the loop have the same planners, so races are grouped by planners.
     groups: dict[tuple[int, ...], list[int]] = {}
     for i in range(races):

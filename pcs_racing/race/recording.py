@@ -6,6 +6,7 @@ A recorded race ends in exactly the state that ``run_races``, or a game, gives f
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import InputError, check_whole
-from pcs_racing.base.seeds import race_seed
 from pcs_racing.base.typing import Floats
-from pcs_racing.car.vehicle import F1TENTH, V, load_vehicles
+from pcs_racing.car.vehicle import F1TENTH, V, Y, load_vehicles
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.view import PATH_SPEED, PATH_Y, VIEW_SIZE
@@ -28,7 +28,7 @@ from pcs_racing.race.config import (
 )
 from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.kernel import fill_view
-from pcs_racing.race.races import RaceResult, RaceSetup, rules_on, start_races, starts_of
+from pcs_racing.race.races import RaceResult, RaceSetup, race_keys, rules_on, start_races, starts_of
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import (
@@ -45,6 +45,8 @@ from pcs_racing.track.track import Track
 
 LAST_INDEX = 2**32 - 1
 """Maximum number of a race: it is one 32-bit word of the key of the race's noise."""
+
+PASS_SECONDS = 3.0  # s before an overtake in which the cars' distance counts
 
 FRAME_EVERY = 4  # steps: 25 frames a second; the loop can be stopped after every second step
 
@@ -89,7 +91,7 @@ def record_race(
     setup = RaceSetup(track, rules, tuple(driver.planner for driver in drivers), vehicles)
     start = starts_of(track, rules, [int(index)], seed, cars=len(drivers))
     theta = pad_parameters(drivers, setup.theta_size)[None]
-    noise = race_seed(seed, int(index))
+    noise = race_keys(rules, seed, [index])[0]
     names = tuple(driver.name for driver in drivers)
     return record_drive(setup, start, noise, theta, names=names, candidates=candidates)
 
@@ -137,6 +139,7 @@ def record_drive(
         line_speed=_driven_speed(track, start.s[0] + progress, cars[..., V]),
         frame_dt=FRAME_EVERY * DT,
         plan_dt=PLAN_EVERY * DT,
+        sight=setup.rules.sight,
         half_sizes=np.array([[0.5 * car.length, 0.5 * car.width] for car in setup.vehicles]),
         outcome=_outcome(RaceResult(setup.rules, state, start), names),
         cars=cars,
@@ -209,9 +212,9 @@ def _drive(
             # Called before the step: after it the planner's memory already holds this plan.
             log.choices.append([_choices(setup, state, theta, car) for car in range(state.number)])
         # Sums and counts are cumulative: the contribution of this period is their difference.
-        sums, overtakes, faults, laps = (
+        sums, ahead, faults, laps = (
             state.sums[0].copy(),
-            state.overtakes[0].copy(),
+            state.ahead[0].copy(),
             state.fault[0].copy(),
             state.lap_count[0],
         )
@@ -224,7 +227,8 @@ def _drive(
             ittc = added[:, ITTC] / added[:, ITTC_SAMPLES]
             if first:  # frames before the first sample also show it
                 log.ittc[:] = [ittc] * len(log.ittc)
-        log.events.extend(_happened(state, overtakes, faults))
+        log.events.extend(_overtakes(setup, state, ahead, log))
+        log.events.extend(_faults(state, faults))
         if setup.rules.laps is not None:
             log.events.extend(_ended_laps(state, laps))
 
@@ -292,16 +296,25 @@ def _followed(path: Floats) -> Floats:
     return out
 
 
-def _happened(
-    state: RaceState, overtakes_before: NDArray[np.int64], faults_before: NDArray[np.int8]
+def _overtakes(
+    setup: RaceSetup, state: RaceState, ahead_before: NDArray[np.uint8], log: _Log
 ) -> list[ReplayEvent]:
-    """Return the events of the last control period."""
-    time = float(state.tick[0]) * DT
-    events = [
-        ReplayEvent(time, car, "overtake", "overtakes")
-        for car in range(state.number)
-        if state.overtakes[0, car] > overtakes_before[car]
-    ]
+    """Return the overtakes of the last control period: who, where, and how close."""
+    events, cars = [], np.array(log.cars[-int(PASS_SECONDS / (FRAME_EVERY * DT)) :])
+    for car, other in permutations(range(state.number), 2):
+        was_behind = ahead_before[other] >> car & 1
+        if not was_behind or state.ahead[0, other] >> car & 1:
+            continue
+        apart = lengths(cars[:, car, : Y + 1] - cars[:, other, : Y + 1]).min()
+        whom = "" if state.number == 2 else f" car {other}"
+        text = f"overtakes{whom} at {state.frenet[0, car, 0]:.0f} m, {apart:.2f} m between centres"
+        events.append(ReplayEvent(float(state.tick[0]) * DT, car, "overtake", text))
+    return events
+
+
+def _faults(state: RaceState, faults_before: NDArray[np.int8]) -> list[ReplayEvent]:
+    """Return the crashes of the last control period."""
+    time, events = float(state.tick[0]) * DT, []
     other = "the other car" if state.number == 2 else "another car"
     for car in range(state.number):
         if state.fault[0, car] > faults_before[car]:

@@ -12,6 +12,7 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.packing import COARSE, FINE, join_segments, pack, pack_paths
+from pcs_racing.race.config import FULL_SIGHT
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class Replay:
     #: shape (N,): Max speed of the cars along the line in m/s, NaN where none drove; colours the
     #: line.
     line_speed: np.ndarray | None = None
+    sight: float = FULL_SIGHT  #: Angle around the heading in which the cars see each other, rad.
     frame_dt: float = 0.05  #: Seconds between two rows of ``cars``.
     #: shape (T, C): Minimum instantaneous time to collision of each car in s.
     ittc: np.ndarray | None = None
@@ -82,7 +84,7 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
     Numbers are rounded: to 1 mm, 1 mm/s and 1 mrad for cars and line, to 1 cm for paths and walls.
     The page is one file, needs no network, and opens from a disk. A link may name a moment:
     ``race.html#t=12.5&follow=1&candidates=1`` (``follow``: ``0``, ``1``, ``both`` or ``track``;
-    also ``play=1``, ``speed=0.5``, ``plans=0``, ``zoom=2``, ``theme=dark``).
+    also ``play=1``, ``speed=0.5``, ``plans=0``, ``sight=1``, ``zoom=2``, ``theme=dark``).
     """
     path = Path(path)
     if path.suffix != ".html":
@@ -131,6 +133,8 @@ def page_values(replay: Replay) -> dict[str, Any]:
     }
     if replay.line_speed is not None:
         values["line_speed"] = pack(np.nan_to_num(replay.line_speed, nan=-1.0), COARSE, [0])
+    if replay.sight < FULL_SIGHT and len(replay.car_names) > 1:
+        values["sight"] = replay.sight
     if replay.ittc is not None:
         values["ittc"] = pack(replay.ittc, COARSE, [0])
     if replay.moving is not None:

@@ -1,4 +1,5 @@
-"""Measurements of a car: its pose with errors of the localisation, and other cars late or lost.
+"""Measurements of a car: its pose with errors of the localisation, and other cars late, lost or
+out of sight.
 
 Every error is a pure function of the race's seed, the car and the time, like the noise of commands.
 Late cars come from a history in the memory of the car that sees them late. While an opponent is
@@ -15,7 +16,8 @@ from pcs_racing.base.seeds import normal_noise, uniform_noise
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import COMMAND_PERIOD, VehicleParams
 from pcs_racing.planners import view as _view
-from pcs_racing.race.config import CONTROL_EVERY, DT
+from pcs_racing.race.config import CONTROL_EVERY, DT, FULL_SIGHT
+from pcs_racing.race.positions import body, gap_to
 from pcs_racing.track.frenet import COS, SIN, foot, shorter_way
 
 _KEY = np.uint64(0x2545F4914F6CDD1D)  # separates these errors from the noise of the steering
@@ -25,6 +27,8 @@ DRIFT_TICKS = 400  # steps of 0.01 s between two independent draws of a drift
 # Counts of the draws, so that no two share one: a multiple of 16, the kind, and the coordinate.
 _NOISE, _DRIFT, _BIAS, _LOST, _DRAWS = 0, 4, 8, 12, 16
 _AXIS_X, _AXIS_Y, _AXIS_PSI = range(3)
+
+UNSEEN = 1e9  # m: x of a car that is lost or out of sight
 
 # Numbers of a car in the history.
 _X, _Y, _V, _PSI, _BETA, _S, _D, _PROGRESS = range(8)
@@ -119,21 +123,60 @@ def _place(own, number, count, other, memory):
 
 
 @inner_kernel
-def remember_cars(cars, frenet, progress, race, own, tick, memory):
-    """Write the cars of a race, at a command, to the history of a car that sees them late."""
+def out_of_sight(row, own, seen, sight):
+    """Return whether all corners of a rectangle lie outside of the sight of a car's lidar.
+
+    ``row`` and ``own`` are the state and the parameters of the car.
+    """
+    sine, cosine = sine_cosine(row[_vehicle.PSI])
+    x = row[_vehicle.X] + own[_vehicle.LIDAR_X] * cosine - own[_vehicle.LIDAR_Y] * sine
+    y = row[_vehicle.Y] + own[_vehicle.LIDAR_X] * sine + own[_vehicle.LIDAR_Y] * cosine
+    ahead_y, ahead_x = sine_cosine(row[_vehicle.PSI] + own[_vehicle.LIDAR_YAW])
+    limit = sine_cosine(0.5 * sight)[1]
+    sine, cosine = sine_cosine(seen.psi)
+    for corner in range(4):
+        along = seen.half_length if corner < 2 else -seen.half_length
+        across = seen.half_width if corner % 2 == 0 else -seen.half_width
+        dx = seen.x + along * cosine - across * sine - x
+        dy = seen.y + along * sine + across * cosine - y
+        if dx * ahead_x + dy * ahead_y >= limit * np.sqrt(dx * dx + dy * dy):
+            return False
+    return True
+
+
+@inner_kernel
+def _hidden(state, race, car, other, vehicles, sight):
+    """Return whether a car is out of the sight of ``car`` now."""
+    if sight >= FULL_SIGHT:
+        return False
+    seen = body(state.cars[race, other], vehicles[other])
+    return out_of_sight(state.cars[race, car], vehicles[car], seen, sight)
+
+
+@inner_kernel
+def remember_cars(state, race, car, vehicles, sight):
+    """Write the cars of a race, at a command, to the history of a car that sees them late.
+
+    A car out of sight is remembered at x = `UNSEEN`.
+    """
+    own, memory = vehicles[car], state.memory[race, car]
     if own[_vehicle.OPPONENT_DELAY] == 0.0:
         return
-    number = cars.shape[1]
+    number = state.cars.shape[1]
     for other in range(number):
-        at = _place(own, number, tick // CONTROL_EVERY, other, memory)
-        memory[at + _X] = cars[race, other, _vehicle.X]
-        memory[at + _Y] = cars[race, other, _vehicle.Y]
-        memory[at + _V] = cars[race, other, _vehicle.V]
-        memory[at + _PSI] = cars[race, other, _vehicle.PSI]
-        memory[at + _BETA] = cars[race, other, _vehicle.BETA]
-        memory[at + _S] = frenet[race, other, 0]
-        memory[at + _D] = frenet[race, other, 1]
-        memory[at + _PROGRESS] = progress[race, other]
+        at, row = (
+            _place(own, number, state.tick[race] // CONTROL_EVERY, other, memory),
+            state.cars[race, other],
+        )
+        hidden = other != car and _hidden(state, race, car, other, vehicles, sight)
+        memory[at + _X] = UNSEEN if hidden else row[_vehicle.X]
+        memory[at + _Y] = row[_vehicle.Y]
+        memory[at + _V] = row[_vehicle.V]
+        memory[at + _PSI] = row[_vehicle.PSI]
+        memory[at + _BETA] = row[_vehicle.BETA]
+        memory[at + _S] = state.frenet[race, other, 0]
+        memory[at + _D] = state.frenet[race, other, 1]
+        memory[at + _PROGRESS] = state.progress[race, other]
 
 
 @inner_kernel
@@ -143,6 +186,29 @@ def _remembered(own, number, tick, other, memory):
     if late == 0 or tick == 0:
         return -1
     return _place(own, number, max(tick // CONTROL_EVERY - late, 0), other, memory)
+
+
+@inner_kernel
+def _unseen(state, race, car, other, vehicles, sight):
+    """Return whether a car was out of sight at the time at which ``car`` sees it."""
+    memory = state.memory[race, car]
+    at = _remembered(vehicles[car], state.cars.shape[1], state.tick[race], other, memory)
+    if at >= 0:
+        return memory[at + _X] == UNSEEN
+    return _hidden(state, race, car, other, vehicles, sight)
+
+
+@inner_kernel
+def seen_car(length, state, race, car, vehicles, sight):
+    """Return the nearest car in sight along the track; -1 for none."""
+    nearest, least = -1, np.inf
+    for other in range(state.cars.shape[1]):
+        gap = abs(gap_to(length, state.frenet, race, car, other))
+        if other == car or gap >= least:
+            continue
+        if not _unseen(state, race, car, other, vehicles, sight):
+            nearest, least = other, gap
+    return nearest
 
 
 @inner_kernel
@@ -188,13 +254,21 @@ def blur_view(line, ds, length, own, number, other, seed, car, tick, progress, m
 
 
 @inner_kernel
-def sense_cars(line, ds, length, cars, frenet, progress, race, car, own, seed, tick, memory, seen):
+def sense_cars(track, state, race, car, vehicles, sight, seen):
     """Write the cars of a race, as one of them measures them, into the arrays of ``seen``.
 
-    These are states, Frenet coordinates and progress of a single race.
+    These are states, Frenet coordinates and progress of a single race. A car that is lost or out of
+    sight is at x = `UNSEEN`.
     """
     seen_cars, seen_frenet, seen_progress = seen
-    number = cars.shape[1]
+    cars, frenet, progress, memory = (
+        state.cars,
+        state.frenet,
+        state.progress,
+        state.memory[race, car],
+    )
+    number, own, seed, tick = cars.shape[1], vehicles[car], state.seed[race], state.tick[race]
+    lost = opponent_lost(own, seed, car, tick)
     for other in range(number):
         for k in range(_vehicle.STATE_SIZE):
             seen_cars[0, other, k] = cars[race, other, k]
@@ -211,10 +285,12 @@ def sense_cars(line, ds, length, cars, frenet, progress, race, car, own, seed, t
             seen_frenet[0, other, 0] = memory[at + _S]
             seen_frenet[0, other, 1] = memory[at + _D]
             seen_progress[0, other] = memory[at + _PROGRESS]
+        if other != car and (lost or _unseen(state, race, car, other, vehicles, sight)):
+            seen_cars[0, other, _vehicle.X] = UNSEEN
     x, y, psi, s, d = measured_pose(
-        line,
-        ds,
-        length,
+        track.line,
+        track.ds,
+        track.length,
         own,
         seed,
         car,
@@ -225,7 +301,7 @@ def sense_cars(line, ds, length, cars, frenet, progress, race, car, own, seed, t
         frenet[race, car, 0],
         frenet[race, car, 1],
     )
-    seen_progress[0, car] += shorter_way(length, s - frenet[race, car, 0])
+    seen_progress[0, car] += shorter_way(track.length, s - frenet[race, car, 0])
     seen_cars[0, car, _vehicle.X], seen_cars[0, car, _vehicle.Y] = x, y
     seen_cars[0, car, _vehicle.PSI] = psi
     seen_frenet[0, car, 0], seen_frenet[0, car, 1] = s, d

@@ -87,6 +87,8 @@ class RaceState(NamedTuple):
     #: shape (B, N): Last contact of each car, coded as ``crash``, if contacts do not end the race;
     #: 0 once the car drives faster than 1 m/s again.
     contact: NDArray[np.int8]
+    #: shape (B, N): Share of its commanded speed that each car lacks (``front_pace`` of the rules).
+    handicap: NDArray[np.float64]
 
     @property
     def races(self) -> int:
@@ -188,6 +190,7 @@ def empty_state(races: int, memory_size: int, cars: int = 2, laps: int | None = 
         laps=np.zeros((races, cars, LAP_COLUMNS + (laps or 0))),
         ahead=np.zeros((races, cars), np.uint8),
         contact=np.zeros((races, cars), np.int8),
+        handicap=np.zeros((races, cars)),
     )
 
 

@@ -5,9 +5,19 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.seeds import normal_noise
 from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.race.config import CONTROL_EVERY
 
 _SPEED_KEY = np.uint64(0xDA942042E4DD58B5)  # makes the noise of the speed another sequence
+
+
+@kernel(forceinline=True)
+def slowed(speed, handicap, v):
+    """Return the speed command (m/s) that a slower car at a speed ``v`` gets, by its handicap.
+
+    A command of calm braking (:func:`pcs_racing.planners.pursuit.calm_speed`) stays one.
+    """
+    return min(speed, max((1.0 - handicap) * speed, v - 0.1 * BRAKING))
 
 
 @kernel(forceinline=True)

@@ -65,7 +65,7 @@ def control(track, theta, view, memory, scratch, path, command):
     error = view[_view.OWN_D] + axle - lane
     since = view[_view.TIME] - PLAN_PERIOD * np.floor(view[_view.TIME] / PLAN_PERIOD + 0.01)
     ahead = int(min(v * (since + PREVIEW) / memory[2], _view.PATH_POINTS - 1.0))
-    speed, acceleration = calm_speed(v, path[ahead, _view.PATH_SPEED])
+    speed, acceleration = calm_speed(view, path[ahead, _view.PATH_SPEED])
     slip = (
         view[_view.REAR_SLIP] + view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration
     )

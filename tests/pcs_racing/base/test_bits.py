@@ -24,8 +24,9 @@ from numba.core.registry import CPUDispatcher
 from numpy._core._multiarray_umath import __cpu_dispatch__
 
 from pcs_racing import load_rules, load_track, racer
+from pcs_racing.base.seeds import race_seeds
 from pcs_racing.race.driving import advance
-from pcs_racing.race.races import RaceSetup, draw_starts, pad_parameters, race_seeds, start_races
+from pcs_racing.race.races import RaceSetup, draw_starts, pad_parameters, start_races
 from pcs_racing.track.building.centerline import centerline_from_grid
 from pcs_racing.track.building.raceline import minimum_curvature_raceline
 from pcs_racing.track.building.tracks import build_track

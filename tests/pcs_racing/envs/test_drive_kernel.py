@@ -15,7 +15,9 @@ from pcs_racing.race.start_grid import settle
 
 TOP = 8.0
 AHEAD = (0.0, 1.5, 30.0, 49.0)
-RACE = load_rules("contest", start_lines=3, steering_noise=0.0)
+RACE = load_rules(
+    "contest", start_lines=3, steering_noise=0.0, sight=2.0 * np.pi, front_pace=(1.0, 1.0)
+)
 
 
 def begun(track, opponent=None, rules=RACE, seed=0, duration=8.0, **options):

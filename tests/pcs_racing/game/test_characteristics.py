@@ -56,7 +56,7 @@ def test_pieces_of_a_race_add_up():
     config = load_rules("paper", duration=4.0)
     track = load_track("Pipkin")
     setup = racing.RaceSetup(track, config, (REFERENCE, REFERENCE))
-    state = racing.start_races(setup, draw_starts(track, config, 4, 0), racing.race_seeds(0, 4))
+    state = racing.start_races(setup, draw_starts(track, config, 4, 0), race_seeds(0, 4))
     theta = np.tile(LATTICE.default, (4, 2, 1))
     moments = [state.copy()]
     for _ in range(2):

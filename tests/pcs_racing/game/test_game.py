@@ -208,6 +208,7 @@ def test_an_observation_holds_what_its_elements_name():
     rng, axes = np.random.default_rng(0), get_characteristics(("aggressiveness", "restraint"))
     own, other = rng.uniform(-1.0, 2.0, (2, 3, 2, 4, 2))  # games, cars, steps, axes
     leads, over = rng.uniform(-200.0, 200.0, (3, 4)), np.array([1, 2, 3])
+    handicaps = rng.uniform(0.0, 0.2, (3, 2))
     steps: list[dict[str, np.ndarray]] = [{}, {}]
     for car in range(2):
         lead = np.clip((1 - 2 * car) * leads / 20.0, -5.0, 5.0)
@@ -219,12 +220,13 @@ def test_an_observation_holds_what_its_elements_name():
             steps[car][f"lead_{k}"] = seen * lead[:, k] + 0.0
             steps[car][f"seen_{k}"] = seen
         steps[car]["step"] = over / 3.0
-    elements = observation_elements(axes, 3)
+        steps[car]["handicap"] = handicaps[:, car]
+    elements = observation_elements(axes, 3, handicaps=True)
     assert [element.name for element in elements] == list(steps[0])
     for element in elements:
         word = element.name.partition("_")[0]
         assert element[1:4] == BOUNDS.get(word, ("1", 0.0, 1.0)), element.name
-    observation = encode_observation(own, other, leads, over)
+    observation = encode_observation(own, other, leads, over, handicaps)
     expected = np.stack([np.stack(list(of_car.values()), axis=1) for of_car in steps], axis=1)
     np.testing.assert_array_equal(observation, expected.astype(np.float32))
     assert observation.dtype == np.float32
@@ -271,6 +273,9 @@ def test_several_step_sizes_and_three_characteristics(track):
     assert (two.moves, two.offered) == ((*switches, "stay"), 4)
 
 
+WIN = {"rules": "contest", "utility": None, "fault_penalty": 0.0}
+
+
 @pytest.mark.parametrize(
     ("settings", "fault", "expected"),
     [
@@ -280,9 +285,9 @@ def test_several_step_sizes_and_three_characteristics(track):
         ({"fault_penalty": 3.0}, (1, 0), -3.0),
         ({"fault_penalty": 3.0}, (0, 1), 3.0),
         ({"fault_penalty": 3.0}, (1, 1), 0.0),
-        ({"rules": "contest"}, (1, 0), -1.0),
-        ({"rules": "contest"}, (0, 1), 1.0),
-        ({"rules": "contest", "discount": 0.5}, (0, 1), 0.25),
+        (WIN, (1, 0), -1.0),
+        (WIN, (0, 1), 1.0),
+        ({**WIN, "discount": 0.5}, (0, 1), 0.25),
     ],
 )
 def test_what_a_crash_is_worth(track, settings, fault, expected):

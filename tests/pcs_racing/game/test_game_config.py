@@ -20,9 +20,9 @@ def test_the_papers_game_and_the_contest():
     assert Rules() == load_rules() == load_rules("paper") == load_rules({"rules": "paper"})
     assert (PAPER.moves, PAPER.step_seconds, PAPER.payoff) == (4, 8.0, "lead")
     assert PAPER.ends == (8.0, 16.0, 24.0, 32.0, 40.0)
-    assert (CONTEST.moves, CONTEST.payoff, CONTEST.stay) == (6, "win", True)
+    assert (CONTEST.moves, CONTEST.payoff, CONTEST.stay) == (6, "lead-at-crash", True)
     assert CONTEST.ends == (0.0, 2.0, 8.0, 16.0, 24.0, 32.0, 40.0)
-    assert load_rules("contest", utility="lead-at-crash").payoff == "lead-at-crash"
+    assert load_rules("contest", utility="win").payoff == "win"
     assert load_rules({"rules": "contest", "stay": False}) == dataclasses.replace(
         CONTEST, stay=False
     )

@@ -14,7 +14,6 @@ from replay_pages import race_in
 from same_arrays import assert_same
 
 from pcs_racing import load_rules, racer, record_race, run_races, save_replay
-from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.view import VIEW
@@ -25,6 +24,7 @@ from pcs_racing.race.races import (
     draw_starts,
     finishing_order,
     pair_scores,
+    race_keys,
     run_field,
     start_lines,
     start_races,
@@ -286,7 +286,9 @@ def test_a_race_of_n_laps_has_n_lap_times_that_add_up_to_its_time(oval, rules, c
     rules, races = load_rules(rules, **changes), 4
     drivers = [racer(name) for name in DRIVERS]
     setup = RaceSetup(oval, rules, tuple(driver.planner for driver in drivers))
-    state = start_races(setup, draw_starts(oval, rules, races, seed=1), race_seeds(1, races))
+    state = start_races(
+        setup, draw_starts(oval, rules, races, seed=1), race_keys(rules, 1, np.arange(races))
+    )
     theta = np.tile(pad_parameters(drivers, setup.theta_size), (races, 1, 1))
     progress = [state.progress.copy()]
     while not state.over.all():

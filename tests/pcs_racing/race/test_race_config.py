@@ -5,7 +5,7 @@ from refusal import refused
 
 from pcs_racing import CONTEST, PAPER, load_rules
 from pcs_racing.base.errors import ConfigError, UnknownNameError
-from pcs_racing.race.config import KNOWN_RULES, ROBORACER, Rules
+from pcs_racing.race.config import FULL_SIGHT, KNOWN_RULES, ROBORACER, Rules
 
 
 def test_the_presets():
@@ -30,6 +30,8 @@ def test_the_presets():
         "start_speed": 4.0,
         "steering_noise": 0.0,
         "noise_time": 0.28,
+        "sight": FULL_SIGHT,
+        "front_pace": (1.0, 1.0),
         "speed_range": None,
         "crash_rule": "nobody",
         "aggressiveness": "lead",
@@ -55,6 +57,8 @@ def test_the_presets():
         True,
     )
     assert CONTEST.aggressiveness == "speed"
+    assert (CONTEST.sight, CONTEST.front_pace, CONTEST.heats) == (4.7, (0.88, 1.0), 2)
+    assert (ROBORACER.sight, ROBORACER.front_pace) == (4.7, (1.0, 1.0))
     assert CONTEST.steps == ROBORACER.steps == (0.0, 2.0, 6.0, 8.0, 8.0, 8.0, 8.0)
     for wrong in ((), (8.0,), 8.0, (8.0, 0.0), (8.0, 0.05), (8.0, "8"), (8.0, 601.0)):
         refused("steps", Rules, steps=wrong, error=ConfigError)
