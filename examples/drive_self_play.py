@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing import load_archive
+from pcs_racing import load_archive, load_rules
 from pcs_racing.envs import DriveHeadToHeadVectorEnv, DriveVectorEnv, Result
 
 try:
@@ -136,7 +136,7 @@ def main() -> None:
     races = [
         DriveHeadToHeadVectorEnv(
             arguments.envs // 2,
-            rules=race,
+            rules=rules_of(race),
             duration=arguments.duration,
             rivalry=arguments.rivalry,
             autoreset_mode="SAME_STEP",
@@ -165,7 +165,9 @@ def main() -> None:
     for race, archive in RULES.items():
         rivals = {
             f"archive {archive}": archive_races(race, arguments.races, task),
-            "lidar-ppo": DriveVectorEnv(arguments.races, opponent="lidar-ppo", rules=race, **task),
+            "lidar-ppo": DriveVectorEnv(
+                arguments.races, opponent="lidar-ppo", rules=rules_of(race), **task
+            ),
         }
         for name, against in rivals.items():
             ends = race_against(model, against)
@@ -177,11 +179,19 @@ def main() -> None:
             )
 
 
+def rules_of(race: str) -> Any:
+    """Return the rules without handicaps, so that observations are the same in all races."""
+    return load_rules(race, front_pace=(1.0, 1.0))
+
+
 def archive_races(race: str, count: int, task: dict[str, Any]) -> DriveVectorEnv:
     """Make races against the archive of the rules; the opponent's policy is drawn for each race."""
     archive = load_archive(RULES[race])
     return DriveVectorEnv(
-        count, opponent=[archive.policy(k) for k in range(len(archive))], rules=race, **task
+        count,
+        opponent=[archive.policy(k) for k in range(len(archive))],
+        rules=rules_of(race),
+        **task,
     )
 
 

@@ -15,6 +15,7 @@ from pcs_racing.base.errors import InputError, check_whole
 from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.planner import Policy
+from pcs_racing.race.config import Rules
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.jobs import open_job, show_progress
 from pcs_racing_agents.base.tables import Column, aligned, table_rows, write_csv
@@ -34,6 +35,7 @@ from pcs_racing_agents.tournament import (
     play_plan,
     tournament_settings,
 )
+from pcs_racing_agents.tournament.races import series_of
 from pcs_racing_agents.tournament.ratings import agents_of
 
 SIZE = 16
@@ -86,13 +88,14 @@ def headroom(payoffs: Floats, names: Sequence[str], track: str = "") -> Headroom
     )
 
 
-def fold_payoffs(races: RaceTable, names: Sequence[str]) -> Floats:
+def fold_payoffs(races: RaceTable, names: Sequence[str], rules: Rules) -> Floats:
     """Return payoffs of races on one track, shape (F, N, N), antisymmetric; a tie is a half."""
+    payoffs = np.zeros((FOLDS, len(names), len(names)))
+    races = series_of(races, rules)
     first, second = agents_of(names, races).T
     fold = races.race // 2 % FOLDS  # two races share a start line
-    payoffs = np.zeros((FOLDS, len(names), len(names)))
     won = np.array([0.5, -0.5, 0.0])[races.winner]
-    np.add.at(payoffs, (fold, first, second), won * FOLDS / (races.race.max() + 1))
+    np.add.at(payoffs, (fold, first, second), won * FOLDS / len(np.unique(races.race)))
     return payoffs - payoffs.swapaxes(1, 2)
 
 
@@ -148,7 +151,7 @@ def run(
         found, pairs = [], [("track", "policy", "opponent", "payoff")]
         for name in raced.track.words:
             own = raced.take(raced.track.codes == raced.track.words.index(name))
-            payoffs = fold_payoffs(own, plan.names)
+            payoffs = fold_payoffs(own, plan.names, plan.rules)
             found.append(headroom(payoffs, plan.names, name))
             for (i, j), payoff in np.ndenumerate(payoffs.mean(axis=0)):
                 pairs.append((name, plan.names[i], plan.names[j], f"{payoff:.6f}"))

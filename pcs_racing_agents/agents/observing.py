@@ -1,6 +1,7 @@
 """Parts of an observation: moves made, coordinates of both policies, earlier observations.
 
-An observation holds a block of numbers for each step, then the share of the moves made. A block
+An observation holds a block of numbers for each step, then the share of the moves made, and the
+own handicap where the rules give any. A block
 holds the own coordinates, the opponent's coordinates, the lead, and a 1 once the step is over
 (:func:`pcs_racing.game.observation.observation_elements`). All functions take observations of shape
 (B, D) and the number G of the game's axes.
@@ -18,9 +19,8 @@ def step_count(observation: ObservationBatch, axes: int) -> int:
 
 
 def _blocks(observation: ObservationBatch, axes: int) -> ObservationBatch:
-    return observation[:, :-1].reshape(
-        len(observation), step_count(observation, axes), 2 * axes + 2
-    )
+    steps, size = step_count(observation, axes), 2 * axes + 2
+    return observation[:, : steps * size].reshape(len(observation), steps, size)
 
 
 def moves_made(observation: ObservationBatch, axes: int) -> NDArray[np.int64]:

@@ -13,8 +13,8 @@ def fingerprint(*values: Any) -> str:
     """Return the SHA-256 of plain values, arrays, sequences, mappings and dataclasses, in hex.
 
     Equal values give equal digests in every process. An object with a ``content_hash`` is
-    represented by it, a dataclass by its fields, and any other object (such as a function) by its
-    type alone.
+    represented by it, a dataclass by its fields (without its ``added_fields`` at their defaults),
+    and any other object (such as a function) by its type alone.
     """
     digest = hashlib.sha256()
     _feed(digest, values)
@@ -50,7 +50,10 @@ def _feed(digest: Any, value: Any) -> None:
             _feed(digest, value[key])
     elif is_dataclass(value) and not isinstance(value, type):
         digest.update(f"{kind};".encode())
+        added = getattr(value, "added_fields", ())
         for field in fields(value):
-            _feed(digest, getattr(value, field.name))
+            own = getattr(value, field.name)
+            if field.name not in added or own != field.default:
+                _feed(digest, own)
     else:
         digest.update(f"{kind};".encode())

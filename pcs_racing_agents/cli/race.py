@@ -7,13 +7,13 @@ from typing import Annotated
 import numpy as np
 
 from pcs_racing.base.errors import InputError, check_seed, check_whole, require
-from pcs_racing.base.seeds import race_seed
 from pcs_racing.car.vehicle import VehicleParams, load_vehicles
+from pcs_racing.game.reward import reward, sum_winners
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.race.config import Rules
 from pcs_racing.race.driving import advance, pad_parameters
-from pcs_racing.race.races import RaceSetup, start_races, starts_of, winners
+from pcs_racing.race.races import RaceSetup, race_keys, start_races, starts_of, winners
 from pcs_racing.race.recording import LAST_INDEX, record_race
 from pcs_racing.race.replay import Replay, save_replay
 from pcs_racing.race.state import MAX_CARS
@@ -127,10 +127,15 @@ def _series(
     state = start_races(
         setup,
         starts_of(track, config, numbers, seed),
-        np.array([race_seed(seed, n) for n in numbers]),
+        race_keys(config, seed, numbers),
     )
     theta = np.tile(pad_parameters([ego, opponent], setup.theta_size), (config.heats, 1, 1))
     advance(setup, state, theta, config.ticks)
+    if config.legs == 2:
+        sums = reward(config, state, [0, 0]).sum(keepdims=True)
+        winner = int(sum_winners(config, sums)[0])
+        prize = f"car {winner} wins" if winner >= 0 else "a tie"
+        return f"two legs, races {numbers[0]} and {numbers[1]}: {sums[0]:+.1f} m for car 0, {prize}"
     won = [int((winners(config, state) == car).sum()) for car in range(2)]
     counts = ", ".join(f"car {car} won {count}" for car, count in enumerate(won))
     return f"best of {config.heats}, races {numbers[0]} to {numbers[-1]}: {counts}"

@@ -22,7 +22,7 @@ from pcs_racing_agents.base.statistics import Estimate, clustered_mean
 from pcs_racing_agents.learning.responses import ResponseSettings, learn_response
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament.pairings import cross_pairing, play_pairings
-from pcs_racing_agents.tournament.races import RaceTable, concatenate_races
+from pcs_racing_agents.tournament.races import RaceTable, concatenate_races, series_of
 
 LINES = 5
 """Start lines of each pair of variants, each raced from both sides."""
@@ -87,6 +87,7 @@ def best_reply(
         for i, game in enumerate(games)
     ]
     table = concatenate_races(play_pairings(pairings, name="races", job=job, **workers))
+    table = series_of(table, games[0].rules)
     return BestReply(reply, table, excess_estimate(table))
 
 

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.seeds import race_seeds
 from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
+from pcs_racing.game.reward import reward, sum_winners
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import Rules
 from pcs_racing.race.driving import advance, pad_parameters
-from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
+from pcs_racing.race.races import RaceSetup, race_keys, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing_agents.base.jobs import Arrays, Run, run_races
@@ -106,7 +106,8 @@ def draw_scenarios(
         lines, noise = np.random.SeedSequence(seed, spawn_key=(index,)).spawn(2)
         places = start_lines(as_track(track), replace(rules, start_lines=starts), lines)
         start_s.append(places[line])
-        seeds.append(race_seeds(int(noise.generate_state(1, np.uint64)[0]), len(line)))
+        key = int(noise.generate_state(1, np.uint64)[0])
+        seeds.append(race_keys(rules, key, np.arange(len(line))))
     return Scenarios(
         tracks=tuple(tracks),
         config=rules,
@@ -159,6 +160,12 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
         for k in range(len(parameters) if axis.pooled else 0):
             whole = Segment(progress[k], sums[k], time[k], scenarios.segment_seconds)
             raced["totals"][k, :, g] = _pooled(axis, whole, raced["segments"][k])
+    if scenarios.config.legs == 2:
+        # A leg has the winner of its series, so that no leg was a no-contest.
+        sums = raced["utility"][:, ::2] + raced["utility"][:, 1::2]
+        raced["winner"] = np.repeat(sum_winners(scenarios.config, sums), 2, axis=1)
+        raced["crashed"][:] = False
+    del raced["utility"]
     return raced
 
 
@@ -216,6 +223,7 @@ def _drive(
         "own_crash": state.fault[:, 0] == 1,
         "crashed": state.crashed,
         "winner": winners(scenarios.config, state),
+        "utility": reward(scenarios.config, state, np.zeros(len(race), np.int64)),
         "progress": whole.progress,
         "sums": whole.sums,
         "time": whole.time,

@@ -134,6 +134,7 @@ def study_table(study: Study, races: RaceTable) -> list[TableLine]:
         open_loop=open_loop if open_loop in races.agents.words else None,
         train={load_track(name).name for name in config.learning.tracks},
         paper=config.rules.name == "paper",
+        rules=config.rules,
     )
 
 

@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.race.config import PAPER, Rules
 from pcs_racing_agents.base.statistics import Comparison, compare, holm, match_units
 from pcs_racing_agents.base.tables import Column, aligned, interval_text, table_rows, write_csv
-from pcs_racing_agents.tournament import RaceTable
+from pcs_racing_agents.tournament.races import RaceTable, series_of
 
 GAIN = "adaptivity gain"
 """Kind of the lines that compare the best agent with the best baseline in training."""
@@ -97,6 +98,7 @@ def make_table(
     open_loop: str | None = None,
     train: Collection[str] = (),
     paper: bool = False,
+    rules: Rules = PAPER,
 ) -> list[TableLine]:
     """Compare the agents of every row.
 
@@ -113,6 +115,8 @@ def make_table(
         Training tracks.
     paper : bool
         True for races by the paper's rules, to add the paper's figures.
+    rules : Rules
+        Rules of the races, for scores of series.
     """
     rows: dict[tuple[str, str], dict[str, RaceTable]] = {}
     for (track, ego, opponent, seed), numbers in races.pairs.items():
@@ -144,7 +148,8 @@ def make_table(
             pairs.append((GAIN, best, open_loop))
         facts = (track, track in train, opponent)
         figures = PAPER_TABLE.get((opponent, track in train), NO_FIGURES) if paper else NO_FIGURES
-        lines += (line._replace(paper=figures) for line in _row(raced, pairs, *facts))
+        scored = {arm: series_of(races, rules) for arm, races in raced.items()}
+        lines += (line._replace(paper=figures) for line in _row(raced, scored, pairs, *facts))
     return _adjusted(lines)
 
 
@@ -159,6 +164,7 @@ def by_progress(races: RaceTable) -> RaceTable:
 
 def _row(
     raced: Mapping[str, RaceTable],
+    scored: Mapping[str, RaceTable],
     pairs: Sequence[tuple[str, str, str]],
     track: str,
     train: bool,
@@ -166,13 +172,13 @@ def _row(
 ) -> Iterator[TableLine]:
     """Yield the lines of a row, one for each pair of agents."""
     # Variants and lines come from the first agent; all scores follow the order of its races.
-    first = raced[pairs[0][2]]
+    first = scored[pairs[0][2]]
     labels = first.variants.T.astype(np.int64)
     places, egos = (np.unique(each, return_inverse=True)[1] for each in (first.start_s, labels[0]))
     lines, pairings = int(places.max()) + 1, len(np.unique(labels, axis=1).T)
     start = places if lines_shared(lines, pairings) else None
     scores = {}
-    for arm, races in raced.items():
+    for arm, races in scored.items():
         try:
             scores[arm] = races.score[match_units(_units(first), _units(races))]
         except InputError as error:

@@ -38,6 +38,7 @@ from pcs_racing_agents.tournament.pairings import (
     play_pairings,
     schedule_pairing,
 )
+from pcs_racing_agents.tournament.races import series_of
 
 Choices = tuple[int, ...]
 
@@ -83,7 +84,8 @@ def evaluate(
             common.append(schedule_pairing(game, candidates[0], opponent, rolled, training.seed))
     # Pairings differ only in their ego: common parts of the candidates' races are simulated once.
     pairings = [replace(pairing, ego=candidate) for candidate in candidates for pairing in common]
-    means = np.array([races.score.mean() for races in play_pairings(pairings, name=name, **run)])
+    raced = play_pairings(pairings, name=name, **run)
+    means = np.array([series_of(races, training.spec.rules).score.mean() for races in raced])
     return means.reshape(len(candidates), -1).mean(axis=1)
 
 
@@ -264,7 +266,8 @@ def fit_psro(
     ]
     played = play_pairings(pairings, name=f"psro-{first}-{len(members)}", **run)
     # Wins minus losses: a no-contest counts as 0, like a tie.
-    excess = [np.mean(1.0 * (races.winner == 0) - 1.0 * (races.winner == 1)) for races in played]
+    scored = [series_of(races, training.spec.rules) for races in played]
+    excess = [np.mean(1.0 * (races.winner == 0) - 1.0 * (races.winner == 1)) for races in scored]
     # The game is zero-sum: one direction of each pair is sufficient.
     payoffs = np.zeros((len(members), len(members)))
     if known is not None:

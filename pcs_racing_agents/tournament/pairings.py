@@ -26,14 +26,13 @@ from typing import Any, NamedTuple, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError, check_whole, check_whole_array, is_whole
-from pcs_racing.base.seeds import race_seeds
+from pcs_racing.base.errors import InputError, check_seed, check_whole, check_whole_array, is_whole
 from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy, PolicySet
 from pcs_racing.planners.racers import own_name
 from pcs_racing.race.config import Rules
-from pcs_racing.race.races import draw_starts, start_lines
+from pcs_racing.race.races import draw_starts, race_keys, start_lines
 from pcs_racing.race.recording import record_drive
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.start_grid import Starts
@@ -82,7 +81,7 @@ def draw_schedule(track: Track, config: Rules, races: int, seed: int) -> RaceSch
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     draws = generator.integers(2**63, size=(races // 2, 2), dtype=np.uint64)
     swapped = np.stack([draws, draws[:, ::-1]], axis=1).reshape(races, 2)
-    return RaceSchedule(starts, swapped, race_seeds(seed, races))
+    return RaceSchedule(starts, swapped, race_keys(config, seed, np.arange(races)))
 
 
 LINE_SETS = 8  # start lines of a track, as a multiple of the lines of one pair of variants
@@ -198,7 +197,7 @@ def cross_pairing(
     meeting = game_between(game, *cars)
     check_whole("lines", lines, 1, 1000)
     # Check the seed before any draw, with the error message of the function that uses it.
-    race_seeds(seed, 1)
+    check_seed(seed)
     first = _variants("egos", egos, variant_count(meeting, cars[0]), seed, 3)
     second = _variants("opponents", opponents, variant_count(meeting, cars[1]), seed, 4)
     rules = replace(meeting.setup.rules, start_lines=lines * LINE_SETS)
@@ -216,7 +215,7 @@ def cross_pairing(
         *cars,
         np.stack([a, b], axis=1),
         Starts(positions[line], side),
-        race_seeds(seed, len(line)),
+        race_keys(game.rules, seed, np.arange(len(line))),
         int(seed),
     )
 

@@ -31,7 +31,7 @@ from pcs_racing_agents.tournament.plan import (
     plan_tournament,
     tournament_settings,
 )
-from pcs_racing_agents.tournament.races import RaceTable, concatenate_races
+from pcs_racing_agents.tournament.races import RaceTable, concatenate_races, series_of
 from pcs_racing_agents.tournament.scores import (
     SCORE_COLUMNS,
     Score,
@@ -158,13 +158,14 @@ def protocol_scores(protocol: Protocol, races: RaceTable) -> list[ProtocolScore]
 
 
 def _score(protocol: Protocol, name: str, races: RaceTable, first: RaceTable) -> ProtocolScore:
-    training = np.isin(np.array(races.track.words)[races.track.codes], protocol.config.train)
-    gain = clustered_score(races, races.score - first.score)
+    own, base = (series_of(each, protocol.plan.rules) for each in (races, first))
+    training = np.isin(np.array(own.track.words)[own.track.codes], protocol.config.train)
+    gain = clustered_score(own, own.score - base.score)
     return ProtocolScore(
         name,
-        score_races(races),
-        float(races.score[training].mean()),
-        float(races.score[~training].mean()),
+        score_races(races, own),
+        float(own.score[training].mean()),
+        float(own.score[~training].mean()),
         "" if races is first else with_interval(*gain),
     )
 

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.typing import Floats
+from pcs_racing.game.reward import sum_winners, utility
+from pcs_racing.race.config import Rules
 
 WINNERS = ("ego", "opponent", "none")
 """Labels of ``RaceTable.winner``; -1 indexes the last label."""
@@ -283,18 +285,31 @@ class RaceTable:
             )
 
 
-def series_of(races: RaceTable, heats: int) -> RaceTable:
-    """Return one race for each series of ``heats`` consecutive races of a pair.
+def series_of(races: RaceTable, rules: Rules) -> RaceTable:
+    """Return one race for each series of consecutive races of a pair.
 
-    The result is the first race of the series; the winner is the car with more wins in the series.
+    The result is the first race of the series, with the winner of the series.
     """
-    if heats == 1:
+    if rules.heats == 1:
         return races
-    keys = [races.track.codes, *races.agents.codes.T, races.seed.codes, races.race // heats]
+    winner, first = series_winner(races, rules)
+    crash = np.zeros(len(first), np.int8)
+    return replace(races.take(first), winner=winner[first], crash=crash)
+
+
+def series_winner(races: RaceTable, rules: Rules) -> tuple[NDArray[np.int8], NDArray[np.intp]]:
+    """Return the winner of each race's series, shape (N,), and the first race of each series.
+
+    The winner has more wins in the series; in series of two legs it has the higher sum of
+    utilities.
+    """
+    keys = [races.track.codes, *races.agents.codes.T, races.seed.codes, races.race // rules.heats]
     _, first, series = np.unique(np.stack(keys), axis=1, return_index=True, return_inverse=True)
-    wins = np.bincount(series.reshape(-1), np.array([1.0, -1.0, 0.0])[races.winner])
-    winner = np.where(wins > 0.0, 0, np.where(wins < 0.0, 1, -1)).astype(np.int8)
-    return replace(races.take(first), winner=winner, crash=np.zeros(len(first), np.int8))
+    ahead = np.array([1.0, -1.0, 0.0])[races.winner]
+    if rules.legs == 2:
+        ahead = utility(rules, races.lead, races.crashed, races.fault, races.winner)
+    series = series.reshape(-1)
+    return sum_winners(rules, np.bincount(series, ahead))[series], first
 
 
 def concatenate_races(tables: Iterable[RaceTable]) -> RaceTable:

@@ -61,8 +61,8 @@ class Tournament:
 
     @cached_property
     def series(self) -> RaceTable:
-        """Scored units: the races, or series of races under "best of" rules."""
-        return series_of(self.races, self.plan.rules.heats)
+        """Scored units: the races, or series of races."""
+        return series_of(self.races, self.plan.rules)
 
     @cached_property
     def summary(self) -> RoundRobin:
@@ -106,9 +106,11 @@ class Tournament:
         if config.laps is not None:
             length = f"{config.laps} laps (at most {length})"
         tracks = ", ".join(track.name for track in self.plan.tracks)
+        series = f" in {len(self.series)} series" if config.heats > 1 else ""
         passed = races.overtakes.any(axis=1).mean()
         head = (
-            f"{tracks}, rules {config.name}, seed {self.plan.seed}: {len(races)} races of {length},"
+            f"{tracks}, rules {config.name}, seed {self.plan.seed}: {len(races)} races of"
+            f" {length}{series},"
             f" {1.0 - races.crashed.mean():.0%} without a crash, {passed:.0%} with an overtake"
         )
         numbers = [f"({k + 1})" for k in range(len(self.standings))]
@@ -120,6 +122,11 @@ class Tournament:
         paid = "the car not to blame" if config.crash_rule == "fault-loses" else "no car"
         won = "races" if config.heats == 1 else f"best of {config.heats}"
         notes = [f"score: {won} won, a tie counting half; a crash is won by {paid}"]
+        if config.legs == 2:
+            notes = [
+                "score: series won by the sum of both legs, a tie counting half; a fault costs"
+                f" {config.fault_penalty:g} m"
+            ]
         columns = [Column("name", "agent"), Column("score.races", "races"), *SCORE_COLUMNS]
         if self.summary.ratings is not None:
             columns += [Column("rating", format="+.0f"), Column("rating_interval", "95 %")]

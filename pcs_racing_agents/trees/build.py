@@ -138,6 +138,7 @@ def build_tree(
         start_s=float(place.s[0]),
         side=int(place.side[0]),
         seeds=keys.astype(np.uint64),
+        handicaps=root.race.handicap,
         table=table,
         points=game.points,
         path_payoffs=np.stack(payoffs),

@@ -118,6 +118,7 @@ class RaceTree:
     #: shape (S,): Keys of the games: ``RaceGame.reset(seeds, policies=..., starts=...)`` starts the
     #: same games.
     seeds: NDArray[np.uint64]
+    handicaps: Floats  #: shape (S, 2): Handicaps of the cars.
     table: Indices  #: shape (K, A): Policy that every move leads to from every policy.
     points: Floats  #: shape (K, G): Normalised coordinates of the policies as the players see them.
     #: shape (S, U0_m, U1_m): Payoffs to car 0; the payoffs to car 1 are their negatives.
@@ -236,8 +237,11 @@ class RaceTree:
         flat_own, flat_estimates = (
             array.reshape(-1, *array.shape[2:]) for array in (own, estimates)
         )
+        handicaps = None
+        if self.handicaps.any():
+            handicaps = np.repeat(self.handicaps, shape[1], axis=0)
         flat = encode_observation(
-            flat_own, flat_estimates, leads.reshape(-1, self.moves + 1), step.reshape(-1)
+            flat_own, flat_estimates, leads.reshape(-1, self.moves + 1), step.reshape(-1), handicaps
         )
         return flat.reshape(*shape, *flat.shape[1:])
 
@@ -280,7 +284,10 @@ class RaceTree:
 
 # Trees as arrays of files
 
-_PLAIN = ("policies", "start_s", "side", "seeds", "table", "points", "driven", "live", "crashed")
+_PLAIN = (
+    *("policies", "start_s", "side", "seeds", "handicaps", "table", "points"),
+    *("driven", "live", "crashed"),
+)
 _LEVELS = ("leads", "estimates", "over")
 
 
@@ -328,6 +335,7 @@ def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str)
         "policies": ("iu", (2,)),
         "start_s": ("f", ()),
         "side": ("iu", ()),
+        "handicaps": ("f", (*seeds, 2)),
         "table": ("iu", table),
     }
     _check_arrays(arrays, whole | {"points": ("f", points)}, where)

@@ -24,7 +24,7 @@ from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.replay import page_values, player_page
-from pcs_racing_agents.agents.observing import opponent, step_count
+from pcs_racing_agents.agents.observing import moves_made, opponent, step_count
 from pcs_racing_agents.base.jobs import Progress
 from pcs_racing_agents.policies.picture import axis_limits, in_units, plane
 from pcs_racing_agents.tournament import RaceRow, RaceTable, repeat_race
@@ -89,8 +89,7 @@ def _seen(archive: PolicyArchive, played: RaceTable, car: int) -> list[list[floa
     assert played.observations is not None
     observation, axes = played.observations[:, car], len(archive.characteristics)
     steps = step_count(observation, axes)
-    # Observed steps after a crash are zeros; the last number of a step marks it as complete.
-    complete = observation[0, :-1].reshape(steps, -1)[:, -1] > 0.5
+    complete = np.arange(steps) <= moves_made(observation, axes)[0]  # without steps after a crash
     measured = [opponent(observation, axes, step)[0] for step in range(steps)]
     places = _places(archive, in_units(archive, measured))
     return [place if known else None for place, known in zip(places, complete, strict=True)]

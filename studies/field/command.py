@@ -62,20 +62,20 @@ def race_rules(
     agents = entrants.agent_entrants(spec) if rules == races.RULES[0] else []
     every = planners + agents
     opponents = [entrants.Entrant(name, "default", name) for name in races.OPPONENTS]
-    heats, number = spec.rules.heats, size.races[rules]
+    number = size.races[rules]
     settings = {"seed": entrants.SEED, "races": number, "tracks": races.hashes(tracks)}
     with open_job(out / rules, "field", settings) as job:
         play = partial(races.play_all, spec, tracks, play=partial(_play, job, executor))
         raced = play(every, opponents, number, name=rules)
         labels = [one.label for one in opponents]
-        best = tables.best_planner(tables.lines_of(rules, raced, every, labels, heats), every)
+        best = tables.best_planner(tables.lines_of(spec.rules, raced, every, labels), every)
         if best.label not in labels:
             labels.append(best.label)
             raced |= play(every, [best], number, name=f"{rules}-best")
-        lines = tables.lines_of(rules, raced, every, labels, heats)
+        lines = tables.lines_of(spec.rules, raced, every, labels)
         if agents:
             title = play(agents, [best], size.title, name=f"{rules}-title")
-            lines += tables.title_lines(title, agents, best.label, rules)
+            lines += tables.title_lines(title, agents, best.label, spec.rules)
         return lines
 
 

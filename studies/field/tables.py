@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.race.config import Rules
 from pcs_racing_agents.base.style import COLOURS, INK, new_figure, picture, save_picture, tidy
 from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.tournament.races import RaceTable, series_of
@@ -53,20 +54,20 @@ def clustered(values: Cell, what: str) -> Share:
     return share(getattr(values, what), values.strata, values.clusters[:1])
 
 
-def cells_of(races: Sequence[RaceTable], names: tuple[str, str], heats: int) -> tuple[Cell, Cell]:
+def cells_of(races: Sequence[RaceTable], names: tuple[str, str], rules: Rules) -> tuple[Cell, Cell]:
     """Return the scored series and the races of a pair, a table for each circuit."""
-    return cell_of([series_of(one, heats) for one in races], names), cell_of(races, names)
+    return cell_of([series_of(one, rules) for one in races], names), cell_of(races, names)
 
 
 def lines_of(
-    rules: str, raced: Raced, entrants: Sequence[Entrant], opponents: Sequence[str], heats: int
+    rules: Rules, raced: Raced, entrants: Sequence[Entrant], opponents: Sequence[str]
 ) -> list[Line]:
     """Return the lines of all entrants: against each opponent, and against all of them."""
     lines = []
     for kind in CIRCUITS:
         for one in entrants:
             pairs = {
-                opponent: cells_of(raced[kind, one.label, opponent], (one.label, opponent), heats)
+                opponent: cells_of(raced[kind, one.label, opponent], (one.label, opponent), rules)
                 for opponent in opponents
             }
             every = tuple(joined(cells) for cells in zip(*pairs.values(), strict=True))
@@ -74,13 +75,14 @@ def lines_of(
                 against = ", ".join(opponents) if name == ALL else name
                 figures = clustered(series, "score"), clustered(races, "own_crash")
                 count = len(races.score)
-                lines.append(Line(rules, kind, one.name, one.kind, name, against, count, *figures))
+                about = rules.name, kind, one.name, one.kind, name, against, count
+                lines.append(Line(*about, *figures))
     return lines
 
 
-def title_lines(raced: Raced, agents: Sequence[Entrant], best: str, rules: str) -> list[Line]:
+def title_lines(raced: Raced, agents: Sequence[Entrant], best: str, rules: Rules) -> list[Line]:
     """Return the lines of the agents' races against the best planner."""
-    lines = lines_of(rules, raced, agents, [best], 1)
+    lines = lines_of(rules, raced, agents, [best])
     return [one._replace(opponent=TITLE) for one in lines if one.opponent != ALL]
 
 

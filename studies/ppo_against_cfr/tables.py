@@ -6,6 +6,7 @@ their circuit and opponent.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.typing import Floats
+from pcs_racing.race.config import load_rules
 from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.style import COLOURS, INK, new_figure, picture, save_picture, tidy
 from pcs_racing_agents.base.tables import with_interval
-from pcs_racing_agents.tournament.races import RaceTable
+from pcs_racing_agents.tournament.races import RaceTable, series_winner
 from studies.ppo_against_cfr.races import CIRCUITS, CROSS_PLAY, LEVELS, OPPONENTS, Key, racers
 
 Labels = NDArray[np.str_]
@@ -90,11 +92,20 @@ def make_cells(raced: Mapping[Key, Sequence[RaceTable]]) -> Cells:
     """Return the cells of all pairs, by the keys of the races, and of the opponents not raced as
     egos.
     """
+    raced = {key: [_scored(key[0], one) for one in races] for key, races in raced.items()}
     cells = {key: cell_of(races, key[2:]) for key, races in raced.items()}
     for (rules, circuits, ego, opponent), races in raced.items():
         if (rules, circuits, opponent, ego) not in cells:
             cells[rules, circuits, opponent, ego] = cell_of(races, (ego, opponent), car=1)
     return cells
+
+
+def _scored(rules: str, races: RaceTable) -> RaceTable:
+    """Return races with the winners of their series."""
+    config = load_rules(rules)
+    if config.heats == 1:
+        return races
+    return replace(races, winner=series_winner(races, config)[0], crash=np.zeros_like(races.crash))
 
 
 def over_opponents(cells: Cells, rules: str, circuits: str, racer: str) -> Cell:

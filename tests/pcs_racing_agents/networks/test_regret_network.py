@@ -11,7 +11,7 @@ from safetensors.numpy import load as load_tensors, save as save_tensors
 from toy_networks import MOVES, identity, plain_network, random_network
 from zoo_games import untrained
 
-from pcs_racing import InputError, make_game
+from pcs_racing import InputError, load_rules, make_game
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.networks import (
     NetworkSet,
@@ -173,9 +173,8 @@ def test_a_network_of_the_game_fits(game):
     made_for(game).check_fits(game)
     # the move that it does not know comes last
     made_for(game).check_fits(make_game("Pipkin", epsilon=0.35, stay=True))
-    made_for(game).check_fits(
-        make_game("Tarnfjord", rules="contest", steps=(8.0,) * 5, epsilon=0.35, stay=False)
-    )
+    rules = load_rules("contest", front_pace=(1.0, 1.0), steps=(8.0,) * 5, epsilon=0.35)
+    made_for(game).check_fits(make_game("Tarnfjord", rules=rules, stay=False))
     state = game.reset(games=2)
     assert made_for(game).choose(game.observation(state)).shape == (2, 2)
 

@@ -75,6 +75,7 @@ def test_candidates_are_compared_in_the_same_races(training, short, oval, monkey
         return [SimpleNamespace(score=np.array([k, k + 0.5])) for k in range(len(pairings))]
 
     monkeypatch.setattr(fits, "play_pairings", play)
+    monkeypatch.setattr(fits, "series_of", lambda races, rules: races)
     agents = [build("best-fixed", short, target=target) for target in range(3)]
     assert fits.evaluate(two, agents).tolist() == [1.75, 5.75, 9.75]
     (pairings,) = given

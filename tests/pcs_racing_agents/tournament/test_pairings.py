@@ -39,11 +39,12 @@ def test_a_crossed_pairing_crosses_everything_and_short_circuits_share_places(
     for pair in np.unique(pairing.variants, axis=0):
         of_pair = pairing.starts.s[(pairing.variants == pair).all(axis=1)]
         assert sorted(np.unique(of_pair, return_counts=True)[1].tolist()) == [2, 2]
-    assert len(np.unique(pairing.noise)) == 48
+    legs = pairing.noise.reshape(24, 2)
+    assert len(np.unique(legs)) == (legs[:, 0] == legs[:, 1]).sum() == 24
     paper = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher:any"])
     # this archive has 12 policies to start with; with 20 it were 4,000
     assert len(paper) == 12 * 20 * 5 * 2
-    np.testing.assert_array_equal(paper.noise, race_seeds(0, len(paper)))
+    np.testing.assert_array_equal(paper.noise[::2], race_seeds(0, len(paper) // 2))
     # Tarnfjord has 27 places to start side by side, and a pairing draws from 40 lines; a place is
     # one cluster.
     game = make_game("Tarnfjord", archive, "paper")

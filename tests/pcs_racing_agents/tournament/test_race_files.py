@@ -9,6 +9,7 @@ from hypothesis import given, settings, strategies as st
 from refusal import refused
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.race.config import ROBORACER
 from pcs_racing_agents.tournament.race_files import race_table, read_results, write_results
 from pcs_racing_agents.tournament.races import Categorical, RaceRow, concatenate_races, series_of
 
@@ -204,7 +205,9 @@ def test_a_series_is_won_by_who_won_more_of_its_races():
         RaceRow(race=k, winner=winner, crash="wall")
         for k, winner in enumerate(("opponent", "ego", "ego"))
     ]
-    series = series_of(race_table([*races, RaceRow(race=3, winner="opponent"), RaceRow(race=4)]), 3)
+    series = series_of(
+        race_table([*races, RaceRow(race=3, winner="opponent"), RaceRow(race=4)]), ROBORACER
+    )
     assert [(row.race, row.winner, row.crash) for row in series] == [
         (0, "ego", "none"),
         (3, "opponent", "none"),

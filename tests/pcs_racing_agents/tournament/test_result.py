@@ -22,7 +22,10 @@ def race(ego: str, opponent: str, **result: object) -> RaceRow:
     return RaceRow(ego=ego, opponent=opponent, track="t", **result)
 
 
-def played(*rows: RaceRow, rules=CONTEST) -> Tournament:
+SINGLE = load_rules(CONTEST, heats=1)
+
+
+def played(*rows: RaceRow, rules=SINGLE) -> Tournament:
     competitors = tuple(PolicySet(name, (racer("lattice"),)) for name in "ab")
     tracks = SimpleNamespace(name="oval"), SimpleNamespace(name="Pipkin")
     plan = TournamentPlan(competitors, tracks, make_game(None, "default", rules), (), 2, 0)
@@ -68,7 +71,7 @@ def test_the_table_counts_every_ending_once():
     assert a.score.mean == pytest.approx((2 + 0.5) / 8)
     assert b.score.mean == pytest.approx((4 + 0.5) / 8)
     assert str(result) == TEXT
-    by_laps = str(played(*ROWS, rules=load_rules("contest", laps=2)))
+    by_laps = str(played(*ROWS, rules=load_rules("contest", laps=2, heats=1)))
     assert "8 races of 2 laps (at most 80 s)," in by_laps
     np.testing.assert_allclose(result.scores, [[np.nan, 2.5 / 8], [4.5 / 8, np.nan]])
 
@@ -146,6 +149,26 @@ def test_best_of_three_counts_as_one_race():
     rows = [race("a", "b", race=i, winner="ego", crash="car", fault="opponent") for i in range(3)]
     a, b = (one.score for one in played(*rows, rules=rules).standings)
     assert (a.mean, b.mean, b.own_crash) == (1.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("legs", "winner"),
+    [
+        (((8.0, "none"), (-8.05, "none")), -1),  # below .1 m
+        (((8.0, "none"), (-7.8, "none")), 0),
+        (((3.0, "none"), (-2.0, "ego")), 1),  # -2 - 20 m
+        (((-30.0, "opponent"), (9.0, "none")), 1),
+        (((1.0, "both"), (1.0, "none")), 0),
+    ],
+)
+def test_two_legs_are_won_by_the_sum_of_leads_less_faults(legs, winner):
+    rows = [
+        race("a", "b", race=k, lead=lead, fault=fault, crash="none" if fault == "none" else "car")
+        for k, (lead, fault) in enumerate(legs)
+    ]
+    result = played(*rows, rules=load_rules("contest"))
+    assert result.series.winner.tolist() == [winner]
+    assert "2 races of 40 s in 1 series" in str(result)
 
 
 def test_the_picture_holds_each_number_at_its_place(tournament):

@@ -47,7 +47,7 @@ def noisy(track, archive) -> RaceGame:
     return make_game(
         track,
         archive,
-        replace(CONTEST, steering_noise=0.03),
+        replace(CONTEST, steering_noise=0.03, utility="win", fault_penalty=0.0),
         steps=(6.0,) * 3,
         epsilon=0.35,
     )
@@ -62,9 +62,8 @@ def far(track, archive) -> RaceGame:
         "fault_penalty": 3.0,
         "epsilon": 0.35,
     }
-    return make_game(
-        track, archive, replace(CONTEST, name="far", start_gap=20.0, steering_noise=0.02), **rules
-    )
+    contest = replace(CONTEST, name="far", start_gap=20.0, front_pace=(1.0, 1.0))
+    return make_game(track, archive, contest, **rules)
 
 
 @pytest.fixture(scope="session")

@@ -92,7 +92,8 @@ def test_cars_within_sight_and_planners_that_promise_none_are_driven_together(tr
     sight.
     """
     rules = {"steps": (6.0,) * 3, "utility": "lead", "epsilon": 0.35}
-    game = make_game(track, archive, replace(CONTEST, start_gap=30.0, steering_noise=0.0), **rules)
+    contest = replace(CONTEST, start_gap=30.0, steering_noise=0.0, front_pace=(1.0, 1.0))
+    game = make_game(track, archive, contest, **rules)
     place = (float(game.start_lines[5]), 0)
     tree = build_tree(game, (4, 7), place)
     assert_same(

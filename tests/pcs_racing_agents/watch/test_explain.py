@@ -9,7 +9,7 @@ from refusal import refused
 from same_move import Model
 from zoo_games import untrained
 
-from pcs_racing import make_game
+from pcs_racing import load_rules, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.moves import move_names, move_table
 from pcs_racing.game.players import competitor
@@ -26,7 +26,7 @@ from pcs_racing_agents.watch.words import lead_words, story, why
 
 @pytest.fixture(scope="module")
 def contest(oval, archive):
-    return make_game(oval, archive, "contest", steps=(0.8,) * 5)
+    return make_game(oval, archive, load_rules("contest", front_pace=(1.0, 1.0)), steps=(0.8,) * 5)
 
 
 @pytest.fixture(scope="module")

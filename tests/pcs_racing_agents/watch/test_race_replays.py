@@ -71,7 +71,7 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(
         race, row = repeater.drive(number), tournament.races[number]
         blocks = (
             tournament.record(row, candidates=False)
-            .played.observations[0, :, :-1]
+            .played.observations[0, :, :-2]
             .reshape(2, -1, 6)
         )
         units = archive.nadir + blocks[..., 2:4].astype(float) * (archive.ideal - archive.nadir)
