@@ -22,16 +22,15 @@ import numpy as np
 
 from pcs_racing import load_track, make_game, run_races
 from pcs_racing.base.errors import UnknownNameError
-from pcs_racing.game.players import ask_moves
+from pcs_racing.game.players import ask_moves, competitor
 from pcs_racing.game.state import take_games
 from pcs_racing.planners.planner import PolicySet
 from pcs_racing_agents.agents import Agent, names
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.describe import Measured
-from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.jobs import open_job, show_progress
 from pcs_racing_agents.tournament.pairings import draw_schedule, play_pairings, schedule_pairing
-from pcs_racing_agents.tournament.races import concatenate_races
+from pcs_racing_agents.tournament.races import concatenate_races, series_of
 from pcs_racing_agents.tournament.ratings import round_robin
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
@@ -53,10 +52,11 @@ SEED = 8_000_000  # other races than in any study
 def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
     """Everything about the agents of one game."""
     spec = make_game(None, archive, race)
+    wanted = dict.fromkeys((*names(archive, race), *PLANNERS, *FIELD))
     agents = {}
-    for name in (*names(archive, race), *PLANNERS):
+    for name in wanted:
         try:
-            agents[name] = build(name, spec)
+            agents[name] = competitor(name, spec)
         except UnknownNameError as error:
             print(f"not measured: {error}")
     games = [make_game(load_track(track), spec.archive, spec.rules) for track in TRACKS[race]]
@@ -83,15 +83,15 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
             )
             kept = re.sub("[^a-z0-9-]+", "-", kept)
             tables += play_pairings(pairings, name=kept, job=job, progress=told)
-    races_driven = concatenate_races(tables)
-    together = round_robin(list(agents), races_driven)
+    scored = series_of(concatenate_races(tables), spec.rules)
+    together = round_robin(list(agents), scored)
     found = []
     for name, agent in agents.items():
         own = concatenate_races(table for table in tables if table[0].ego == name)
+        units = series_of(own, spec.rules)
+        rivals = np.array(units.agents.words)[units.agents.codes[:, 1]]
         scores = {
-            rival: float(own.score[own.agents.codes[:, 1] == own.agents.words.index(rival)].mean())
-            for rival in FIELD
-            if rival != name
+            rival: float(units.score[rivals == rival].mean()) for rival in FIELD if rival != name
         }
         found.append(
             Measured(
