@@ -227,7 +227,7 @@ def _drive(
             ittc = added[:, ITTC] / added[:, ITTC_SAMPLES]
             if first:  # frames before the first sample also show it
                 log.ittc[:] = [ittc] * len(log.ittc)
-        log.events.extend(_overtakes(setup, state, ahead, log))
+        log.events.extend(_overtakes(state, ahead, log))
         log.events.extend(_faults(state, faults))
         if setup.rules.laps is not None:
             log.events.extend(_ended_laps(state, laps))
@@ -296,9 +296,7 @@ def _followed(path: Floats) -> Floats:
     return out
 
 
-def _overtakes(
-    setup: RaceSetup, state: RaceState, ahead_before: NDArray[np.uint8], log: _Log
-) -> list[ReplayEvent]:
+def _overtakes(state: RaceState, ahead_before: NDArray[np.uint8], log: _Log) -> list[ReplayEvent]:
     """Return the overtakes of the last control period: who, where, and how close."""
     events, cars = [], np.array(log.cars[-int(PASS_SECONDS / (FRAME_EVERY * DT)) :])
     for car, other in permutations(range(state.number), 2):

@@ -179,6 +179,7 @@ def tree() -> dict[str, np.ndarray]:
         "start_s": np.array(1.0),
         "side": np.array(0),
         "seeds": np.ones(1, np.uint64),
+        "handicaps": np.zeros((1, 2)),
         "table": np.array([[0, 1], [0, 1]]),
         "points": np.zeros((2, 2)),
         "driven": zero,

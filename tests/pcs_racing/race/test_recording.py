@@ -208,20 +208,23 @@ def test_the_end_of_a_race_in_words(rules, progress, crash, fault, words):
 
 def test_what_happened_is_told_with_the_time_and_a_plan_with_its_times():
     state = empty_state(1, 0, 3)
-    state.tick[:], state.overtakes[0], state.fault[0] = 150, (1, 2, 0), (1, 1, 2)
-    state.crash[0], state.contact[0] = (1, 0, 0), (0, 2, 1)
-    events = recording._happened(state, np.array([1, 1, 0]), np.array([0, 0, 2], np.int8))
+    state.tick[:], state.ahead[0], state.fault[0] = 150, (0, 4, 0), (1, 1, 2)
+    state.crash[0], state.contact[0], state.frenet[0, 1, 0] = (1, 0, 0), (0, 2, 1), 12.4
+    frames = np.zeros((2, 3, 7))
+    frames[:, 2, 1] = 0.8, 0.6
+    # Car 2 was ahead of car 1.
+    log = recording._Log(cars=list(frames))
+    events = recording._overtakes(state, np.array([0, 0, 2], np.uint8), log)
     assert events == [
-        ReplayEvent(1.5, 1, "overtake", "overtakes"),
+        ReplayEvent(1.5, 1, "overtake", "overtakes car 2 at 12 m, 0.60 m between centres")
+    ]
+    assert recording._faults(state, np.array([0, 0, 2], np.int8)) == [
         ReplayEvent(1.5, 0, "crash", "crashes into the wall"),
         ReplayEvent(1.5, 1, "crash", "crashes into another car"),
     ]
     two = take(empty_state(1, 0, 2), [0])
     two.fault[0, 1] = 1
-    assert (
-        recording._happened(two, np.zeros(2, int), np.zeros(2, np.int8))[0].text
-        == "crashes into the other car"
-    )
+    assert recording._faults(two, np.zeros(2, np.int8))[0].text == "crashes into the other car"
     path = np.zeros((2, 4, 4))
     path[0, :, PATH_X], path[0, :, PATH_SPEED] = [1.0, 2.0, 4.0, 4.5], [1.0, 3.0, 0.0, 0.0]
     followed = recording._followed(path)
