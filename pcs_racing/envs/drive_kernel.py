@@ -500,11 +500,23 @@ def eyes_for(inputs: Inputs, races: Races, buffers: Buffers, moving: bool) -> Ey
     blurred = any(used[_vehicle.POSE_NOISE : _vehicle.OPPONENT_LOST + 1])
     arguments = inputs, races, 0, 0, buffers
     blurred |= inputs.settings.sight < FULL_SIGHT and races.vehicles.shape[1] > 1
-    eyes = Eyes(sense=compiled_address(sense, *arguments) if blurred else 0)
+    eyes = Eyes(sense=_eye(sense, *arguments) if blurred else 0)
     if len(inputs.sight.beams.cos) == 0:
         return eyes
     whole = (vehicles[:, _vehicle.LIDAR_FOV] >= 2.0 * np.pi).all() and not moving
     errors = used[_vehicle.LIDAR_X : _vehicle.LIDAR_FOV]
     errors += used[_vehicle.LIDAR_NOISE : _vehicle.LIDAR_STEP + 1]
     kernel = scan if whole and not any(errors) else scan_imperfect
-    return eyes._replace(scan=compiled_address(kernel, *arguments, buffers.row))
+    return eyes._replace(scan=_eye(kernel, *arguments, buffers.row))
+
+
+_EYES: dict[tuple[Any, bool], Any] = {}
+
+
+def _eye(kernel: Any, inputs: Inputs, *arguments: Any) -> Any:
+    """Return the address of a kernel; looking up the types of its arguments takes a millisecond."""
+    # Only this one of the arguments has several types.
+    key = kernel, inputs.sight.in_sight is None
+    if key not in _EYES:
+        _EYES[key] = compiled_address(kernel, inputs, *arguments)
+    return _EYES[key]
