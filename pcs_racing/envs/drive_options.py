@@ -4,7 +4,7 @@ observations.
 
 import re
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -197,7 +197,7 @@ class DriveOptions(EpisodeOptions):
         """Simulation steps of 0.01 s in a step of the environment."""
         return round(self.time_step / DT)
 
-    @property
+    @cached_property
     def sees_handicap(self) -> bool:
         """Whether the own handicap is observed: where the rules give any."""
         return load_rules(self.rules).gives_handicaps

@@ -20,22 +20,18 @@ CONTROL_EVERY = 2  # 50 Hz, as are progress and collisions
 ITTC_EVERY = 5  # 20 Hz
 
 
-def _speed_range(name: str, value: Any) -> tuple[float, float]:
-    """Return two speed scales as a tuple."""
-    pair = isinstance(value, list | tuple) and len(value) == 2 and all(map(is_number, value))
-    if not pair or not 0.1 <= value[0] < value[1] <= 3.0:
-        raise InputError(f"{name} is {value!r}; it must be [low, high] with 0.1 <= low < high <= 3")
-    return value[0], value[1]
+def _ends(largest: float, less: str) -> Checked:
+    """Return the check of a range from two numbers, ``low < high`` or ``low <= high``."""
+    form = f"0.1 <= low {less} high <= {largest:g}"
 
+    def check(name: str, value: Any) -> tuple[float, float]:
+        pair = isinstance(value, list | tuple) and len(value) == 2 and all(map(is_number, value))
+        equal = pair and value[0] == value[1] and less == "<"
+        if not pair or equal or not 0.1 <= value[0] <= value[1] <= largest:
+            raise InputError(f"{name} is {value!r}; it must be [low, high] with {form}")
+        return value[0], value[1]
 
-def _front_pace(name: str, value: Any) -> tuple[float, float]:
-    """Return two shares of the speed as a tuple."""
-    pair = isinstance(value, list | tuple) and len(value) == 2 and all(map(is_number, value))
-    if not pair or not 0.1 <= value[0] <= value[1] <= 1.0:
-        raise InputError(
-            f"{name} is {value!r}; it must be [low, high] with 0.1 <= low <= high <= 1"
-        )
-    return float(value[0]), float(value[1])
+    return Checked(check, form)
 
 
 def _printable(name: str, value: Any) -> str:
@@ -174,18 +170,18 @@ class Rules(Settings):
     sight: Annotated[
         float,
         Interval(ge=0.1, le=FULL_SIGHT),
-        "Angle around the heading of the lidar in which a car sees other cars, rad; a car is out of"
-        " sight when all four of its corners lie outside.",
+        "Visible angle around the lidar's heading, rad; a car with all four corners outside is not"
+        " visible.",
     ] = FULL_SIGHT
     front_pace: Annotated[
         tuple[float, float],
-        Checked(_front_pace, "0.1 <= low <= high <= 1"),
+        _ends(1.0, "<="),
         "Range of the factor on the speed of the car in front at the start, drawn for each race;"
         " without effect on cars that start side by side.",
     ] = (1.0, 1.0)
     speed_range: Annotated[
         tuple[float, float] | None,
-        Checked(_speed_range, "0.1 <= low < high <= 3"),
+        _ends(3.0, "<"),
         "Speed scales of pace 0 and pace 1; None for the circuit's calibrated range of these"
         " rules.",
     ] = None

@@ -101,7 +101,7 @@ class KernelSettings(NamedTuple):
     ittc_horizon: float
     contact: int  #: Index in :data:`pcs_racing.race.config.CONTACTS`.
     most_faults: int  #: Number of a car's faults that ends the race; 0 for no limit.
-    sight: float  #: Angle in which a car sees other cars, rad.
+    sight: float  #: Visible angle around the lidar's heading, rad.
 
 
 class Races(NamedTuple):

@@ -46,7 +46,7 @@ from pcs_racing.track.track import Track
 LAST_INDEX = 2**32 - 1
 """Maximum number of a race: it is one 32-bit word of the key of the race's noise."""
 
-PASS_SECONDS = 3.0  # s before an overtake in which the cars' distance counts
+PASS_SECONDS = 3.0  # s before an overtake that count for the distance of the cars
 
 FRAME_EVERY = 4  # steps: 25 frames a second; the loop can be stopped after every second step
 
@@ -297,7 +297,7 @@ def _followed(path: Floats) -> Floats:
 
 
 def _overtakes(state: RaceState, ahead_before: NDArray[np.uint8], log: _Log) -> list[ReplayEvent]:
-    """Return the overtakes of the last control period: who, where, and how close."""
+    """Return the overtakes of the last control period: who, where, how close the centres."""
     events, cars = [], np.array(log.cars[-int(PASS_SECONDS / (FRAME_EVERY * DT)) :])
     for car, other in permutations(range(state.number), 2):
         was_behind = ahead_before[other] >> car & 1
@@ -305,7 +305,7 @@ def _overtakes(state: RaceState, ahead_before: NDArray[np.uint8], log: _Log) -> 
             continue
         apart = lengths(cars[:, car, : Y + 1] - cars[:, other, : Y + 1]).min()
         whom = "" if state.number == 2 else f" car {other}"
-        text = f"overtakes{whom} at {state.frenet[0, car, 0]:.0f} m, {apart:.2f} m between centres"
+        text = f"overtakes{whom} at {state.frenet[0, car, 0]:.0f} m, {apart:.2f} m apart"
         events.append(ReplayEvent(float(state.tick[0]) * DT, car, "overtake", text))
     return events
 

@@ -47,7 +47,7 @@ class Replay:
     #: shape (N,): Max speed of the cars along the line in m/s, NaN where none drove; colours the
     #: line.
     line_speed: np.ndarray | None = None
-    sight: float = FULL_SIGHT  #: Angle around the heading in which the cars see each other, rad.
+    sight: float = FULL_SIGHT  #: Visible angle around the cars' headings, rad.
     frame_dt: float = 0.05  #: Seconds between two rows of ``cars``.
     #: shape (T, C): Minimum instantaneous time to collision of each car in s.
     ittc: np.ndarray | None = None

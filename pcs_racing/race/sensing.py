@@ -128,6 +128,8 @@ def out_of_sight(row, own, seen, sight):
 
     ``row`` and ``own`` are the state and the parameters of the car.
     """
+    if sight >= FULL_SIGHT:
+        return False
     sine, cosine = sine_cosine(row[_vehicle.PSI])
     x = row[_vehicle.X] + own[_vehicle.LIDAR_X] * cosine - own[_vehicle.LIDAR_Y] * sine
     y = row[_vehicle.Y] + own[_vehicle.LIDAR_X] * sine + own[_vehicle.LIDAR_Y] * cosine
@@ -147,8 +149,6 @@ def out_of_sight(row, own, seen, sight):
 @inner_kernel
 def _hidden(state, race, car, other, vehicles, sight):
     """Return whether a car is out of the sight of ``car`` now."""
-    if sight >= FULL_SIGHT:
-        return False
     seen = body(state.cars[race, other], vehicles[other])
     return out_of_sight(state.cars[race, car], vehicles[car], seen, sight)
 
@@ -164,10 +164,8 @@ def remember_cars(state, race, car, vehicles, sight):
         return
     number = state.cars.shape[1]
     for other in range(number):
-        at, row = (
-            _place(own, number, state.tick[race] // CONTROL_EVERY, other, memory),
-            state.cars[race, other],
-        )
+        at = _place(own, number, state.tick[race] // CONTROL_EVERY, other, memory)
+        row = state.cars[race, other]
         hidden = other != car and _hidden(state, race, car, other, vehicles, sight)
         memory[at + _X] = UNSEEN if hidden else row[_vehicle.X]
         memory[at + _Y] = row[_vehicle.Y]
@@ -189,24 +187,20 @@ def _remembered(own, number, tick, other, memory):
 
 
 @inner_kernel
-def _unseen(state, race, car, other, vehicles, sight):
-    """Return whether a car was out of sight at the time at which ``car`` sees it."""
-    memory = state.memory[race, car]
-    at = _remembered(vehicles[car], state.cars.shape[1], state.tick[race], other, memory)
-    if at >= 0:
-        return memory[at + _X] == UNSEEN
-    return _hidden(state, race, car, other, vehicles, sight)
-
-
-@inner_kernel
 def seen_car(length, state, race, car, vehicles, sight):
     """Return the nearest car in sight along the track; -1 for none."""
     nearest, least = -1, np.inf
-    for other in range(state.cars.shape[1]):
+    number, memory = state.cars.shape[1], state.memory[race, car]
+    for other in range(number):
         gap = abs(gap_to(length, state.frenet, race, car, other))
         if other == car or gap >= least:
             continue
-        if not _unseen(state, race, car, other, vehicles, sight):
+        at = _remembered(vehicles[car], number, state.tick[race], other, memory)
+        if at < 0:
+            hidden = _hidden(state, race, car, other, vehicles, sight)
+        else:
+            hidden = memory[at + _X] == UNSEEN
+        if not hidden:
             nearest, least = other, gap
     return nearest
 
@@ -285,7 +279,8 @@ def sense_cars(track, state, race, car, vehicles, sight, seen):
             seen_frenet[0, other, 0] = memory[at + _S]
             seen_frenet[0, other, 1] = memory[at + _D]
             seen_progress[0, other] = memory[at + _PROGRESS]
-        if other != car and (lost or _unseen(state, race, car, other, vehicles, sight)):
+        unseen = lost or (at < 0 and _hidden(state, race, car, other, vehicles, sight))
+        if unseen and other != car:
             seen_cars[0, other, _vehicle.X] = UNSEEN
     x, y, psi, s, d = measured_pose(
         track.line,

@@ -267,7 +267,7 @@ def run_best_reply(
 
     def learn(made: Any, agents: Any, *rest: Any, **run: Any) -> RegretNetwork:
         reply = learning.best_reply(made, agents[0], *rest, races=races, **run)
-        table = loss_table(agent, reply)
+        table = loss_table(agent, reply, made[0].rules)
         budget = (
             f"learner: {settings.starts} games branched at every step and on each circuit,"
             f" {settings.rounds} rounds, {settings.members} networks"

@@ -16,6 +16,7 @@ from pcs_racing.base.errors import check_whole
 from pcs_racing.game.players import Competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import PolicySet
+from pcs_racing.race.config import Rules
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.base.jobs import Job, Workers
 from pcs_racing_agents.base.statistics import Estimate, clustered_mean
@@ -87,8 +88,7 @@ def best_reply(
         for i, game in enumerate(games)
     ]
     table = concatenate_races(play_pairings(pairings, name="races", job=job, **workers))
-    table = series_of(table, games[0].rules)
-    return BestReply(reply, table, excess_estimate(table))
+    return BestReply(reply, table, excess_estimate(series_of(table, games[0].rules)))
 
 
 def check_races(races: int, tracks: int) -> int:
@@ -149,14 +149,15 @@ LOSS_COLUMNS = (
 freedom, and shares of the races."""
 
 
-def loss_table(agent: str, reply: BestReply) -> list[tuple[str, ...]]:
+def loss_table(agent: str, reply: BestReply, rules: Rules) -> list[tuple[str, ...]]:
     """Return the table of an agent's loss as texts: a line for each track, and for all tracks."""
     words, codes = reply.races.track
     parts = [(word, reply.races.take(codes == code)) for code, word in enumerate(words)]
     rows: list[tuple[str, ...]] = [LOSS_COLUMNS]
     for track, races in parts if len(parts) == 1 else [*parts, ("all", reply.races)]:
-        loss = excess_estimate(races)
-        shares = (races.winner == 0, races.winner == 1, races.fault[:, 1] > 0)
+        scored = series_of(races, rules)
+        loss = excess_estimate(scored)
+        shares = (scored.winner == 0, scored.winner == 1, races.fault[:, 1] > 0)
         numbers = (f"{value:.4f}" for value in (loss.mean, loss.low, loss.high, loss.se))
         won = (f"{np.mean(share):.4f}" for share in shares)
         rows.append((agent, track, *numbers, str(loss.df), str(loss.units), *won))

@@ -160,12 +160,6 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
         for k in range(len(parameters) if axis.pooled else 0):
             whole = Segment(progress[k], sums[k], time[k], scenarios.segment_seconds)
             raced["totals"][k, :, g] = _pooled(axis, whole, raced["segments"][k])
-    if scenarios.config.legs == 2:
-        # A leg has the winner of its series, so that no leg was a no-contest.
-        sums = raced["utility"][:, ::2] + raced["utility"][:, 1::2]
-        raced["winner"] = np.repeat(sum_winners(scenarios.config, sums), 2, axis=1)
-        raced["crashed"][:] = False
-    del raced["utility"]
     return raced
 
 
@@ -216,14 +210,19 @@ def _drive(
             )
         totals += np.where(begun[:, None], values, 0.0)
         segments += begun
+    winner, crashed = winners(scenarios.config, state), state.crashed
+    if scenarios.config.legs == 2:
+        # Legs are neighbours. Each has the winner of its series, and no leg was a no-contest.
+        leads = reward(scenarios.config, state, np.zeros(len(race), np.int64))
+        winner = np.repeat(sum_winners(scenarios.config, leads[::2] + leads[1::2]), 2)
+        crashed = np.zeros(len(race), np.bool_)
     whole = Segment.so_far(state, seconds)
     return {
         "totals": totals,
         "segments": segments,
         "own_crash": state.fault[:, 0] == 1,
-        "crashed": state.crashed,
-        "winner": winners(scenarios.config, state),
-        "utility": reward(scenarios.config, state, np.zeros(len(race), np.int64)),
+        "crashed": crashed,
+        "winner": winner,
         "progress": whole.progress,
         "sums": whole.sums,
         "time": whole.time,

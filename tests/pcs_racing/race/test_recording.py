@@ -215,9 +215,7 @@ def test_what_happened_is_told_with_the_time_and_a_plan_with_its_times():
     # Car 2 was ahead of car 1.
     log = recording._Log(cars=list(frames))
     events = recording._overtakes(state, np.array([0, 0, 2], np.uint8), log)
-    assert events == [
-        ReplayEvent(1.5, 1, "overtake", "overtakes car 2 at 12 m, 0.60 m between centres")
-    ]
+    assert events == [ReplayEvent(1.5, 1, "overtake", "overtakes car 2 at 12 m, 0.60 m apart")]
     assert recording._faults(state, np.array([0, 0, 2], np.int8)) == [
         ReplayEvent(1.5, 0, "crash", "crashes into the wall"),
         ReplayEvent(1.5, 1, "crash", "crashes into another car"),

@@ -91,7 +91,7 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
 def test_a_race_without_options_is_worth_watching(printed, tmp_path):
     out = printed("race", "--replay", tmp_path / "race.html")
     assert out.startswith("Brackwater, ")
-    assert re.search(r" overtakes at \d+ m, \d\.\d\d m between centres\n", out)
+    assert re.search(r" overtakes at \d+ m, \d\.\d\d m apart\n", out)
     assert re.search(r"\n(\S+) wins by \d+\.\d m after 40 s\n", out)  # no crash
     assert out.endswith(f"replay: {tmp_path / 'race.html'}\n")
     assert race_in((tmp_path / "race.html").read_text())["track_name"] == "Brackwater"

@@ -9,7 +9,7 @@ from refusal import refused
 
 from pcs_racing import make_game
 from pcs_racing.game.players import always, never_switch
-from pcs_racing.race.config import load_rules
+from pcs_racing.race.config import PAPER, load_rules
 from pcs_racing_agents import make
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.statistics import clustered_mean
@@ -96,7 +96,7 @@ def test_losses_are_listed_for_each_circuit_and_for_all():
     ]
     table = race_table(rows_of)
     reply = BestReply(None, table, excess_estimate(table))
-    head, *lines = loss_table("a", reply)
+    head, *lines = loss_table("a", reply, PAPER)
     rows = [dict(zip(head, line, strict=True)) for line in lines]
     assert [(row["track"], row["loss"]) for row in rows] == [
         ("s", "0.1250"),
@@ -112,7 +112,7 @@ def test_losses_are_listed_for_each_circuit_and_for_all():
     found = [float(rows[-1][key]) for key in ("low", "high", "se")]
     assert found == pytest.approx([reply.loss.low, reply.loss.high, reply.loss.se], abs=1e-4)
     alone = BestReply(None, race_table(rows_of[:4]), None)
-    assert [line[1] for line in loss_table("a", alone)] == ["track", "s"]
+    assert [line[1] for line in loss_table("a", alone, PAPER)] == ["track", "s"]
 
 
 def test_an_excess_is_clustered_by_policies_and_lines_without_what_policies_bring(slow):
