@@ -4,9 +4,9 @@
     python dev/benchmarks/driving.py --only equal --circuits Saltmere Vellindra
     python dev/benchmarks/driving.py --only stability
 
-Circuits: the two shipped ones and four real ones (``--maps``) that nobody trained on. "Today" are
-the rules before limited sight and a slower front car. Each section prints a row for each circuit
-and the mean:
+Circuits: two shipped ones and four real ones (``--maps``), without a part in any training. "Today"
+are the rules before limited sight and a slower front car. Each section prints a row for each
+circuit and the mean:
 
 equal      copies of one driver: wins of the car in front at the start, overtakes a race, own
            crashes of a car
@@ -14,16 +14,14 @@ better     `line-ppo` at pace 1.4 against pace 0.9, and against the lattice: sha
            and of series won, own crashes
 archive    round robins of the archive `contest`: standard deviation of the ratings by series over
            that by single races of today; signal, per race, of the differences between policies
-           (squared mean score less one half over its variance), likewise; the inverse of the latter
-           is the share of the races until an order is known
+           (squared mean score less one half over its variance), likewise
 stability  largest eigenvalue of a car on a straight and its pursuit, by the course that the pursuit
            takes for the car's
 """
 
 import argparse
 import csv
-from collections.abc import Callable, Sequence
-from itertools import combinations
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +32,11 @@ from pcs_racing.base.typing import Floats
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.game.reward import sum_winners, utility
-from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import FULL_SIGHT, Rules, load_rules
 from pcs_racing.race.races import RaceResult
 from pcs_racing.track.track import Track
+from pcs_racing_agents.tournament import play_tournament
+from pcs_racing_agents.tournament.ratings import rate
 
 CIRCUITS = ("Saltmere", "Vellindra", "Austin", "Monza", "Sepang", "Zandvoort")
 TODAY = load_rules("contest", sight=FULL_SIGHT, front_pace=(1.0, 1.0), heats=1)
@@ -86,42 +85,27 @@ def better(track: Track) -> Row:
     return row
 
 
-def round_robin(track: Track, policies: Sequence[Policy], rules: Rules) -> tuple[float, float]:
-    """Return the standard deviation of the ratings, and the signal of a race."""
-    pairs = np.array(list(combinations(range(len(policies)), 2)))
-    each = np.repeat(pairs, ARCHIVE_RACES, axis=0)
-    drivers = [[policies[i] for i in column] for column in each.T.tolist()]
-    result = run_races(track, *drivers, rules, seed=SEED)
-    scores = points(result, rules).reshape(len(pairs), -1)
+def round_robin(track: Track, rules: Rules) -> tuple[float, float]:
+    """Return the standard deviation of the ratings of the archive, and the signal of a race."""
+    known = load_archive("contest")
+    entrants = {f"policy {k}": known.policy(k) for k in range(len(known))}
+    each = {"archive": known, "races_per_pair": ARCHIVE_RACES, "seed": SEED}
+    series = play_tournament(track, entrants, rules, **each).series
+    scores = np.array([series.score[rows] for rows in series.pairs.values()])
     units = scores.shape[1]
-    mean, variance = scores.mean(axis=1), scores.var(axis=1, ddof=1) + 1e-9
+    mean, variance = scores.mean(axis=1), scores.var(axis=1, ddof=1)
     signal = ((mean - 0.5) ** 2 - variance / units).mean() / variance.mean()
-    wins = np.zeros((len(policies), len(policies)))
-    wins[pairs[:, 0], pairs[:, 1]] = scores.sum(axis=1) + 0.5
-    wins[pairs[:, 1], pairs[:, 0]] = units - scores.sum(axis=1) + 0.5
-    return float(strengths(wins).std()), float(signal * units / ARCHIVE_RACES)
-
-
-def strengths(wins: Floats) -> Floats:
-    """Return Bradley-Terry log strengths of a table of wins (Hunter 2004)."""
-    games, strength = wins + wins.T, np.ones(len(wins))
-    for _ in range(500):
-        strength = wins.sum(axis=1) / (games / (strength[:, None] + strength)).sum(axis=1)
-        strength /= np.exp(np.log(strength).mean())
-    return np.log(strength)
+    return float(rate(series).strength.std()), float(signal * units / ARCHIVE_RACES)
 
 
 def archive(track: Track) -> Row:
-    known = load_archive("contest")
-    policies = [known.policy(k) for k in range(len(known))]
-    before, after = (round_robin(track, policies, rules) for rules in (TODAY, CONTEST))
+    before, after = (round_robin(track, rules) for rules in (TODAY, CONTEST))
     return {
         "spread, today": before[0],
         "spread, series": after[0],
         "ratio": after[0] / before[0],
         "signal, today": before[1],
         "signal, series": after[1],
-        "races": before[1] / after[1],
     }
 
 
