@@ -104,7 +104,6 @@ NEEDS = {
         "cluster",
     ),
     "a network as a file": ('main(["export", "lidar-ppo", "--out", "lidar-ppo.onnx"])', "onnx"),
-    "a model of the hub": ("pcs_racing_agents.agents.load_from_hub('somebody/model')", "hub"),
     "a window": ("gym.make('pcs_racing/Duel-v1', render_mode='human').reset(seed=1)", "window"),
 }
 

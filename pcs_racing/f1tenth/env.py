@@ -19,7 +19,6 @@ from pcs_racing.base.errors import (
     ConfigError,
     InputError,
     check_choice,
-    check_flag,
     check_number,
     check_seed,
     check_whole,
@@ -140,7 +139,6 @@ class F110Env(gymnasium.Env[Any, Any]):
         model: int,
         control: tuple[str, str],
         euler: bool,
-        faithful: Any,
     ) -> None:
         """Check the arguments of both generations, and make the cars."""
         self.num_agents = check_whole("num_agents", values["num_agents"], 1, MAX_CARS, ConfigError)
@@ -155,24 +153,12 @@ class F110Env(gymnasium.Env[Any, Any]):
                 "lidar_dist", values.get("lidar_dist", 0.0), -10.0, 10.0, error=ConfigError
             )
         )
-        self.faithful, self.seed = (
-            check_flag("faithful", faithful, ConfigError),
-            check_seed(values["seed"]),
-        )
+        self.seed = check_seed(values["seed"])
         self.params = merged_params(DEFAULT_PARAMS, values["params"])
-        integrator, inputs = (
-            k.EULER if euler and self.faithful else k.RK4,
-            (control[0] == "accl", control[1][-1] == "d"),
-        )
+        integrator = k.EULER if euler else k.RK4
+        inputs = control[0] == "accl", control[1][-1] == "d"
         setup = k.Setup(
-            model,
-            integrator,
-            *inputs,
-            self.timestep,
-            self.lidar_dist,
-            self.ego_idx,
-            self.faithful,
-            False,
+            model, integrator, *inputs, self.timestep, self.lidar_dist, self.ego_idx, False
         )
         beams = check_whole("num_beams", values["num_beams"], 2, 100_000, ConfigError)
         fov = float(check_number("fov", values["fov"], 1e-3, 2.0 * np.pi, error=ConfigError))
@@ -195,10 +181,7 @@ class F110Env(gymnasium.Env[Any, Any]):
                 "step() before reset(): the cars have no place yet; call reset() first"
             )
         done = self.sim.advance(action)
-        infos: dict[str, Any] = {"checkpoint_done": self.sim.cars[:, k.TOGGLES] >= 4.0}
-        if not self.faithful:
-            infos["at_fault"] = self.sim.cars[:, k.AT_FAULT] > 0.0
-        return done, infos
+        return done, {"checkpoint_done": self.sim.cars[:, k.TOGGLES] >= 4.0}
 
     def __getattr__(self, name: str) -> Any:
         """Return a quantity of all cars under its name in the gym, shape (N,), or the time."""
@@ -247,16 +230,14 @@ class GenerationA(F110Env):
 
     The keywords of the gym are ``map`` (name, or path without ".yaml"), ``map_ext``,
     ``num_agents``, ``params``, ``timestep``, ``ego_idx``, ``integrator``, ``lidar_dist`` (m) and
-    ``seed``. ``faithful`` reproduces the gym's faults (docs/coming_from_f1tenth_gym.md).
+    ``seed``.
     """
 
     metadata = {"render.modes": _MODES, "render_modes": _MODES, "render_fps": 100}  # noqa: RUF012
     render_callbacks: list[Callback] = []  # noqa: RUF012 shared by all environments
 
-    def __init__(
-        self, *, faithful: bool = True, render_mode: str | None = None, **named: Any
-    ) -> None:
-        warn_of_unknown("f110-v0", named, [*DEFAULTS_A, "faithful"])
+    def __init__(self, *, render_mode: str | None = None, **named: Any) -> None:
+        warn_of_unknown("f110-v0", named, DEFAULTS_A)
         values, self.render_mode = {**DEFAULTS_A, **named}, render_mode
         self.integrator = values["integrator"]
         integrator = getattr(self.integrator, "name", None)
@@ -264,9 +245,7 @@ class GenerationA(F110Env):
             raise ConfigError(
                 f"integrator is {self.integrator!r:.200}; it must be Integrator.RK4 or .Euler"
             )
-        self._set_up(
-            values, k.OLD_ST if faithful else k.ST, _PAIRS[1], integrator == "Euler", faithful
-        )
+        self._set_up(values, k.OLD_ST, _PAIRS[1], integrator == "Euler")
         self.update_map(values["map"], values["map_ext"])
 
     def update_map(self, map_path: Any, map_ext: Any) -> None:
@@ -286,8 +265,7 @@ class GenerationA(F110Env):
 
     def reset(self, poses: ArrayLike) -> tuple[dict[str, Any], float, bool, dict[str, Any]]:  # type: ignore[override]
         """Place the cars at poses, shape (N, 3) in m and rad, and make a step with zero actions."""
-        # Without faults the noise continues; in the gym every episode has the same noise.
-        self.sim.reset(poses, None)
+        self.sim.reset(poses)
         return self.step(np.zeros((self.num_agents, 2)))
 
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, dict[str, Any]]:  # type: ignore[override]
@@ -314,21 +292,13 @@ class GenerationB(F110Env):
     """Environment of generation B.
 
     ``config`` has keys of the gym's configuration; missing keys have their default
-    (:meth:`default_config`). ``render_mode`` is "human", "human_fast" or "rgb_array". ``faithful``
-    reproduces the gym's faults (docs/coming_from_f1tenth_gym.md).
+    (:meth:`default_config`). ``render_mode`` is "human", "human_fast" or "rgb_array".
     """
 
     metadata = {"render_modes": _MODES, "render_fps": 100}  # noqa: RUF012
 
-    def __init__(
-        self,
-        config: Any = None,
-        render_mode: str | None = None,
-        *,
-        faithful: bool = True,
-        **named: Any,
-    ) -> None:
-        warn_of_unknown("f1tenth-v0", named, ["config", "render_mode", "faithful"])
+    def __init__(self, config: Any = None, render_mode: str | None = None, **named: Any) -> None:
+        warn_of_unknown("f1tenth-v0", named, ["config", "render_mode"])
         if config is not None and not isinstance(config, Mapping):
             raise ConfigError(
                 f"config is of type {type(config).__name__}; give a dictionary such as"
@@ -348,7 +318,7 @@ class GenerationB(F110Env):
         )
         self.model, model = values["model"], k.KS if values["model"] == "ks" else k.ST
         control = control_types(values["control_input"])
-        self._set_up(values, model, control, self.integrator == "euler", faithful)
+        self._set_up(values, model, control, self.integrator == "euler")
         self.map = values["map"]
         self.update_map(self.map)
         self.agent_ids = [f"agent_{i}" for i in range(self.num_agents)]
@@ -388,9 +358,7 @@ class GenerationB(F110Env):
             poses = starting_poses(
                 self.track, self.num_agents, self.config["reset_config"], self.np_random
             )
-        self.sim.reset(
-            poses, None if self.faithful else np.random.default_rng(self.np_random.integers(2**62))
-        )
+        self.sim.reset(poses)
         obs, _, _, _, infos = self.step(np.zeros((self.num_agents, 2)))
         return obs, infos
 
@@ -398,8 +366,7 @@ class GenerationB(F110Env):
         """Make a step with the steering and the longitudinal input of each car, shape (N, 2), in
         this order.
         """
-        # Observed laps are one step old.
-        laps = self.sim.cars if self.faithful else None
+        laps = self.sim.cars  # observed laps are one step old
         done, infos = self._advance(action)
         return self._observe(laps), self.timestep, done, False, infos
 

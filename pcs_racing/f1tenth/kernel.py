@@ -11,7 +11,7 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine, tangent
-from pcs_racing.car.collision import Rectangle, contact_fault, inside_wall, rectangles_overlap
+from pcs_racing.car.collision import Rectangle, inside_wall, rectangles_overlap
 from pcs_racing.car.lidar_kernel import Beams, Pose, draw_rectangle, scan_into
 from pcs_racing.car.vehicle import (
     BETA,
@@ -49,7 +49,7 @@ from pcs_racing.track.grid import cast
 ) = range(INERTIA + 1, INERTIA + 11)
 
 # Columns of a car: its state, its pose before a wall stopped it, the delayed steering, the index of
-# the car in contact (-1 for none), laps, its start, and its place on the race line.
+# the car in contact (-1 for none), laps, and its start.
 (
     AT_X,
     AT_Y,
@@ -59,7 +59,6 @@ from pcs_racing.track.grid import cast
     CRASHED,
     CONTACT,
     WALL,
-    AT_FAULT,
     AWAY,
     TOGGLES,
     LAP_TIME,
@@ -67,10 +66,8 @@ from pcs_racing.track.grid import cast
     START_X,
     START_Y,
     START_PSI,
-    PLACE,
-    PROGRESS,
     COLUMNS,
-) = range(STATE_SIZE, STATE_SIZE + 19)
+) = range(STATE_SIZE, STATE_SIZE + 16)
 
 ORIGINAL = {
     "poses_x": X,
@@ -113,7 +110,6 @@ class Setup(NamedTuple):
     dt: float  #: Length of a step, s.
     lidar_dist: float  #: Distance from the centre of gravity to the lidar, m.
     ego: int
-    faithful: bool
     on_circuit: bool  #: True if the track belongs to the map.
 
 
@@ -193,12 +189,7 @@ def pid_accl(speed, current_speed, max_a, max_v, min_v):
 @inner_kernel
 def _drive(state, steer, longitudinal, p, setup, work):
     """Advance one car in place by the gym's controllers and one step of its integrator."""
-    rate = steer
-    if not setup.steering_rate:
-        rate = pid_steer(steer, state[DELTA], p[SV_MAX])
-        if not setup.faithful:  # exact arrival, without chatter and within the limit
-            error = min(max(steer, p[S_MIN]), p[S_MAX]) - state[DELTA]
-            rate = min(max(error / setup.dt, p[SV_MIN]), p[SV_MAX])
+    rate = steer if setup.steering_rate else pid_steer(steer, state[DELTA], p[SV_MAX])
     a = (
         longitudinal
         if setup.acceleration
@@ -306,26 +297,6 @@ def _stops(world, x, y, psi, v, noise, scan):
 
 
 @inner_kernel
-def _touches_wall(grid, body):
-    """Return whether a rectangle covers a part of a wall cell or reaches out of the map."""
-    rows, columns = grid.free.shape
-    reach = body.half_length + body.half_width
-    u, v = (body.x - grid.origin_x) / grid.cell + 1.0, (body.y - grid.origin_y) / grid.cell + 1.0
-    if not (0.0 <= u < columns and 0.0 <= v < rows):
-        return True
-    if grid.distance[int(v), int(u)] > reach + 2.0 * grid.cell:
-        return False
-    span = int(reach / grid.cell) + 1
-    for i in range(max(int(v) - span, 0), min(int(v) + span + 1, rows)):
-        for j in range(max(int(u) - span, 0), min(int(u) + span + 1, columns)):
-            if not grid.free[i, j]:
-                x, y = grid.origin_x + (j - 0.5) * grid.cell, grid.origin_y + (i - 0.5) * grid.cell
-                if rectangles_overlap(body, Rectangle(x, y, 0.0, 0.5 * grid.cell, 0.5 * grid.cell)):
-                    return True
-    return False
-
-
-@inner_kernel
 def _body(cars, params, i):
     """Return the outline of a car at its pose before a wall stopped it."""
     return Rectangle(
@@ -345,18 +316,12 @@ def _measure(world, cars, i, noise, inverse, work, scan):
     sine, cosine = sine_cosine(body.psi)
     x, y = body.x + setup.lidar_dist * cosine, body.y + setup.lidar_dist * sine
     scan_map(world.grid, world.track, setup.on_circuit, world.beams, x, y, body.psi, work, scan)
-    if setup.faithful:
-        hit = _stops(world, x, y, body.psi, car[V], noise, scan)
-        # The gym detects other cars from the centre of gravity, with the heading after a wall hit.
-        x, y = body.x, body.y
-    else:
-        hit = _touches_wall(world.grid, body)
-    car[WALL] = hit
-    if hit:
-        car[V] = car[PSI_DOT] = car[BETA] = 0.0
-        if setup.faithful:
-            car[PSI] = 0.0
-            sine, cosine = 0.0, 1.0
+    car[WALL] = _stops(world, x, y, body.psi, car[V], noise, scan)
+    # The gym detects other cars from the centre of gravity, with the heading after a wall hit.
+    x, y = body.x, body.y
+    if car[WALL] > 0.0:
+        car[V] = car[PSI_DOT] = car[BETA] = car[PSI] = 0.0
+        sine, cosine = 0.0, 1.0
     inverse[:] = 0.0
     for j in range(cars.shape[0]):
         if j != i:
@@ -367,33 +332,23 @@ def _measure(world, cars, i, noise, inverse, work, scan):
     for k in range(np.uint64(scan.shape[0])):
         scan[k] += noise[k]
         scan[k] = 1.0 / inverse[k] if inverse[k] * scan[k] > 1.0 else scan[k]
-        if not setup.faithful:
-            scan[k] = min(max(scan[k], 0.0), world.beams.max_range)
 
 
 @inner_kernel
 def _count_lap(world, cars, i):
     """Count laps as the gym does: one lap for every two crossings of the box around a car's start.
 
-    The box lies across the heading of the ego's start. Without the gym's faults, laps count the
-    distance driven along the race line, less the distance driven backwards.
+    The box lies across the heading of the ego's start.
     """
-    car, track = cars[i], world.track
-    if world.setup.on_circuit and not world.setup.faithful:
-        s, _ = locate(track, car[AT_X], car[AT_Y])
-        step = s - car[PLACE]
-        car[PROGRESS] += step - track.length * np.floor(step / track.length + 0.5)
-        car[PLACE] = s
-        car[TOGGLES] = 2.0 * max(car[LAPS], np.floor(car[PROGRESS] / track.length))
-    else:
-        sine, cosine = sine_cosine(-cars[world.setup.ego, START_PSI])
-        dx, dy = car[AT_X] - car[START_X], car[AT_Y] - car[START_Y]
-        along, across = cosine * dx - sine * dy, abs(sine * dx + cosine * dy)
-        beyond = max(across - BESIDE, 0.0)
-        away = 1.0 if along * along + beyond * beyond > AROUND else 0.0
-        if away != car[AWAY]:
-            car[AWAY] = away
-            car[TOGGLES] += 1.0
+    car = cars[i]
+    sine, cosine = sine_cosine(-cars[world.setup.ego, START_PSI])
+    dx, dy = car[AT_X] - car[START_X], car[AT_Y] - car[START_Y]
+    along, across = cosine * dx - sine * dy, abs(sine * dx + cosine * dy)
+    beyond = max(across - BESIDE, 0.0)
+    away = 1.0 if along * along + beyond * beyond > AROUND else 0.0
+    if away != car[AWAY]:
+        car[AWAY] = away
+        car[TOGGLES] += 1.0
     car[LAPS] = car[TOGGLES] // 2.0
 
 
@@ -404,9 +359,9 @@ def advance(world, cars, actions, noise, now, scans, inverse, work):
     Return whether the episode ends.
 
     Shapes: ``cars`` (N, COLUMNS); ``actions`` (N, 2): steering, then speed or acceleration;
-    ``noise`` (1 or N, beams), m: shared by all cars, or one row for each; ``scans`` (N, beams),
-    written, m; ``inverse`` (beams,) and ``work`` (the lidar's WORK_SHAPE): scratch. ``now`` is the
-    time after the step, s. A car's lap time stops after two laps.
+    ``noise`` (beams,), m, shared by all cars; ``scans`` (N, beams), written, m; ``inverse``
+    (beams,) and ``work`` (the lidar's WORK_SHAPE): scratch. ``now`` is the time after the step, s.
+    A car's lap time stops after two laps.
     """
     count, setup = cars.shape[0], world.setup
     for i in range(count):
@@ -415,7 +370,7 @@ def advance(world, cars, actions, noise, now, scans, inverse, work):
         car[FIRST], car[SECOND] = car[SECOND], actions[i, 0]
         _drive(car, steer, actions[i, 1], world.params[i], setup, work)
         car[AT_X], car[AT_Y], car[AT_PSI] = car[X], car[Y], car[PSI]
-        car[CONTACT], car[AT_FAULT] = -1.0, 0.0
+        car[CONTACT] = -1.0
     crashed, finished = False, True
     for i in range(count):
         a = _body(cars, world.params, i)
@@ -423,16 +378,11 @@ def advance(world, cars, actions, noise, now, scans, inverse, work):
             b = _body(cars, world.params, j)
             if rectangles_overlap(a, b):
                 cars[i, CONTACT], cars[j, CONTACT] = j, i
-                if not setup.faithful:
-                    first, second = contact_fault(cars[i], cars[j], a, b)
-                    cars[i, AT_FAULT] = max(cars[i, AT_FAULT], first)
-                    cars[j, AT_FAULT] = max(cars[j, AT_FAULT], second)
-        _measure(world, cars, i, noise[min(i, noise.shape[0] - 1)], inverse, work, scans[i])
+        _measure(world, cars, i, noise, inverse, work, scans[i])
         car = cars[i]
-        car[AT_FAULT] = max(car[AT_FAULT], car[WALL])
         car[CRASHED] = 1.0 if car[WALL] > 0.0 or car[CONTACT] >= 0.0 else 0.0
         # In the gym only a crash of the ego ends the episode.
-        crashed |= car[CRASHED] > 0.0 and (i == setup.ego or not setup.faithful)
+        crashed |= car[CRASHED] > 0.0 and i == setup.ego
         _count_lap(world, cars, i)
         if car[TOGGLES] < 4.0:
             car[LAP_TIME] = now

@@ -32,7 +32,7 @@ TYPES: dict[str, tuple[str, ...]] = {
 }
 _LARGE = 1e30
 
-Observe = Callable[[Any], dict[str, Any]]  # argument: cars with the reported laps, if different
+Observe = Callable[[Any], dict[str, Any]]  # argument: cars with the reported laps
 
 
 def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
@@ -89,7 +89,7 @@ def _original_space(cars: int, beams: int) -> spaces.Dict:
 
 def _original(env: Any, laps: Any) -> dict[str, Any]:
     columns = env.sim.cars.T.astype(np.float32, order="C")
-    counted = columns if laps is None else laps.T.astype(np.float32, order="C")
+    counted = laps.T.astype(np.float32, order="C")
     obs = {"ego_idx": env.ego_idx, "scans": env.sim.agent_scans.astype(np.float32)}
     obs |= {name: columns[column] for name, column in k.ORIGINAL.items()}
     obs |= {"linear_vels_y": np.zeros(env.num_agents, np.float32)}
@@ -98,8 +98,7 @@ def _original(env: Any, laps: Any) -> dict[str, Any]:
 
 def _features(env: Any, laps: Any, features: tuple[str, ...]) -> dict[str, Any]:
     sim, out = env.sim, {}
-    cars = sim.cars.astype(np.float32)
-    laps = cars if laps is None else laps.astype(np.float32)
+    cars, laps = sim.cars.astype(np.float32), laps.astype(np.float32)
     for i, name in enumerate(env.agent_ids):
         x, y, delta, v, theta, rate, beta = cars[i, :7]
         values = {
@@ -113,7 +112,7 @@ def _features(env: Any, laps: Any, features: tuple[str, ...]) -> dict[str, Any]:
             "linear_vel_x": v * np.cos(beta),
             "linear_vel_y": v * np.sin(beta),
             # The gym omits contacts between cars here.
-            "collision": int(cars[i, k.WALL if env.faithful else k.CRASHED]),
+            "collision": int(cars[i, k.WALL]),
             "lap_time": laps[i, k.LAP_TIME],
             "lap_count": laps[i, k.LAPS],
         }

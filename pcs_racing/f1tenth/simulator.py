@@ -258,13 +258,13 @@ class _SameNoise:
         self._rng, self._kept, self._after = np.random.default_rng(seed), list[Floats](), None
 
     def block(self, number: int) -> Floats:
-        """Return the noise of the ranges, shape (64, 1, beams), m; request blocks in order."""
+        """Return the noise of the ranges, shape (64, beams), m; request blocks in order."""
         if number < len(self._kept):
             return self._kept[number]
         if number == self.KEPT:  # in this episode or in an earlier episode
             self._after = self._after or self._rng.bit_generator.state  # type: ignore[assignment]
             self._rng.bit_generator.state = self._after  # type: ignore[assignment]
-        drawn = NOISE * self._rng.standard_normal((self.BLOCK, 1, self._beams))
+        drawn = NOISE * self._rng.standard_normal((self.BLOCK, self._beams))
         self._kept += [drawn] if number < self.KEPT else []
         return drawn
 
@@ -296,7 +296,7 @@ class Simulator:
         self._work, self._inverse = np.empty(WORK_SHAPE), np.empty(beams)
         self.cars, self.agent_scans = np.zeros((cars, k.COLUMNS)), np.zeros((cars, beams))
         self.agents = [RaceCar(self, i) for i in range(cars)]
-        self.rng, self._noise, self.steps = np.random.default_rng(seed), _SameNoise(seed, beams), 0
+        self._noise, self.steps = _SameNoise(seed, beams), 0
         self.time, self.started = 0.0, False  # s
 
     states = property(lambda self: self.cars[:, :7])
@@ -312,9 +312,6 @@ class Simulator:
         self.scan_simulator.set_map(loaded)
         self.map, self.track = loaded, loaded.circuit or self._some_track
         self.setup = self.setup._replace(on_circuit=loaded.circuit is not None)
-        self._grid = (
-            loaded.grid if self.setup.faithful else loaded.grid._replace(open_outside=False)
-        )
         self._build()
 
     def update_params(self, params: Any, agent_idx: int = -1) -> None:
@@ -336,13 +333,10 @@ class Simulator:
                 half_width / np.abs(np.sin(angles)), half_length / np.abs(np.cos(angles))
             )
         arrays, beams = self.track.arrays, self.lidar.kernel
-        self._world = k.World(self._grid, arrays, self.setup, beams, self._tables, sides, rows)
+        self._world = k.World(self.map.grid, arrays, self.setup, beams, self._tables, sides, rows)
 
-    def reset(self, poses: ArrayLike, rng: np.random.Generator | None = None) -> None:
-        """Place the cars at poses, shape (N, 3), at rest.
-
-        Without the gym's faults the noise is drawn from ``rng``.
-        """
+    def reset(self, poses: ArrayLike) -> None:
+        """Place the cars at poses, shape (N, 3), at rest."""
         at = check_array("poses", poses, (self.num_agents, 3), minimum=-1e6, maximum=1e6)
         if (np.abs(at[:, 2]) > 900.0).any():
             raise InputError(
@@ -352,12 +346,9 @@ class Simulator:
         self.cars[:, [0, 1, 4]] = self.cars[:, k.AT_X : k.AT_PSI + 1] = self.cars[
             :, k.START_X : k.START_PSI + 1
         ] = at
-        if self.setup.faithful:  # the gym reports the old laps once more
-            self.cars[:, k.LAP_TIME : k.LAPS + 1] = before[:, k.LAP_TIME : k.LAPS + 1]
-        elif self.setup.on_circuit:
-            self.cars[:, k.PLACE] = self.track.to_frenet(at[:, :2])[:, 0]
+        # The gym reports the old laps once more.
+        self.cars[:, k.LAP_TIME : k.LAPS + 1] = before[:, k.LAP_TIME : k.LAPS + 1]
         self.steps, self.time, self.started = 0, 0.0, True
-        self.rng = rng or self.rng
 
     def step(self, control_inputs: ArrayLike) -> dict[str, Any]:
         """Advance all cars by one step; return the result of generation A: no laps and no end."""
@@ -390,20 +381,16 @@ class Simulator:
                 f"action is {given:.200}; it must be finite numbers of shape ({self.num_agents},"
                 " 2), steering and speed"
             )
-        if self.setup.faithful:
-            number, at = divmod(self.steps, _SameNoise.BLOCK)
-            if at == 0:
-                self._drawn = self._noise.block(number)
-            noise = self._drawn[at]
-        else:
-            noise = NOISE * self.rng.standard_normal(self.agent_scans.shape)
+        number, at = divmod(self.steps, _SameNoise.BLOCK)
+        if at == 0:
+            self._drawn = self._noise.block(number)
         self.steps, self.time = self.steps + 1, self.time + self.setup.dt
         self.cars, self.agent_scans = self.cars.copy(), np.empty(self.agent_scans.shape)
         arguments = (
             self._world,
             self.cars,
             actions,
-            noise,
+            self._drawn[at],
             self.time,
             self.agent_scans,
             self._inverse,

@@ -2,7 +2,6 @@ from . import observing as observing
 from .agent import Agent as Agent, Strategy as Strategy
 from .blind import save_fit as save_fit
 from .from_torch import TorchPolicy as TorchPolicy
-from .hub import load_from_hub as load_from_hub
 from .on_car import PolicyOnCar as PolicyOnCar
 from .onnx_export import export_onnx as export_onnx
 from .sb3_files import save_model as save_model
@@ -15,7 +14,6 @@ __all__ = [
     "Strategy",
     "TorchPolicy",
     "export_onnx",
-    "load_from_hub",
     "make",
     "names",
     "observing",

@@ -61,7 +61,6 @@ def run(
         Option("file for a page that plays the race (.html)", "FILE"),
     ] = None,
     video: Annotated[Path | None, Option("file for a video (.mp4, or .gif)", "FILE")] = None,
-    mcap: Annotated[Path | None, Option("file for ROS 2 messages (.mcap)", "FILE")] = None,
 ) -> None:
     """Simulate one race between two or more policies."""
     config = rules.read()
@@ -75,12 +74,9 @@ def run(
     first, *others = (policy_racer(text, code=True, like=like) for text in (ego, *opponent))
     target = output_file(replay, ".html") if replay else None
     film = output_file(video, ".mp4", ".gif") if video else None
-    bag = output_file(mcap, ".mcap") if mcap else None
     # A missing library is reported before the race, not after it.
     if film is not None and film.suffix == ".mp4":
         require("imageio_ffmpeg", extra="video")
-    if bag is not None:
-        require("mcap_ros2", extra="ros")
     circuit = load_track(track)
     # Printed before the race, which may need compilation first.
     about = f"rules {config.name}, seed {rules.seed}, race {index}"
@@ -106,10 +102,6 @@ def run(
         from pcs_racing_agents.watch.frames import write_gif, write_video
 
         print(f"video: {(write_gif if film.suffix == '.gif' else write_video)(recorded, film)}")
-    if bag is not None:
-        from pcs_racing_agents.watch.ros_messages import write_bag
-
-        print(f"mcap: {write_bag(recorded, circuit, bag)}")
 
 
 def _series(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from pcs_racing.base.errors import InputError, check_whole
 from pcs_racing_agents.base.jobs import show_progress
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import RACED_CODE, can_draw, output_file
+from pcs_racing_agents.cli.options import RACED_CODE, output_file
 
 if TYPE_CHECKING:
     from pcs_racing_agents.tournament.races import RaceTable
@@ -25,7 +25,7 @@ REPLAYS, MAX_REPLAYS = 60, 2000
     "pcs-racing view out/mine",
     "pcs-racing view out/mine --index 12 40 --out chosen.html",
     "pcs-racing view out/mine --explain 12",
-    "pcs-racing view out/mine --explain 12 --car 1 --out race-12.png",
+    "pcs-racing view out/mine --explain 12 --car 1",
 )
 def run(
     results: Annotated[Path, Option("folder of a tournament or of a study", "RESULTS")],
@@ -46,11 +46,7 @@ def run(
     ] = None,
     out: Annotated[
         Path | None,
-        Option(
-            "file for the page (default: view.html in the folder of the results); with --explain,"
-            " for a picture (.png or .svg)",
-            "FILE",
-        ),
+        Option("file for the page (default: view.html in the folder of the results)", "FILE"),
     ] = None,
     replays: Annotated[
         int | None,
@@ -72,15 +68,14 @@ def run(
 
     if replays is not None:
         check_whole("--replays", replays, 0, MAX_REPLAYS)
-    if explain is not None and (index or replays is not None):
-        raise InputError("--explain goes without --index and --replays: it makes no page")
+    if explain is not None and (index or out or replays is not None):
+        raise InputError("--explain goes without --index, --out and --replays: it makes no page")
     if car is not None and explain is None:
         raise InputError("--car goes with --explain")
     if not results.is_dir():
         raise InputError(f"there is no folder {results}; give one of a tournament or a study")
     if explain is not None:
-        picture = None if out is None else output_file(out, ".png", ".svg")
-        _explain(open_results(results, agents, track), explain, car, picture)
+        _explain(open_results(results, agents, track), explain, car)
         return
     target = output_file(out or results / "view.html", ".html")
     folder = open_results(results, agents, track)
@@ -101,8 +96,8 @@ def run(
         open_page(target.resolve().as_uri())
 
 
-def _explain(results: "ResultsFolder", number: int, car: int | None, picture: Path | None) -> None:
-    """Print the explanation of a race, and draw it if a file is given."""
+def _explain(results: "ResultsFolder", number: int, car: int | None) -> None:
+    """Print the explanation of a race."""
     from pcs_racing.planners.planner import PolicySet
     from pcs_racing_agents.watch.explain import explain_race
     from pcs_racing_agents.watch.words import story
@@ -115,11 +110,6 @@ def _explain(results: "ResultsFolder", number: int, car: int | None, picture: Pa
     explanation = explain_race(pairing, row.race, car=car)
     results.check_lead(number, explanation.played.lead[0])
     print(story(explanation))
-    if picture is not None and can_draw("the picture of the race"):
-        from pcs_racing_agents.base.style import save_picture
-        from pcs_racing_agents.watch.pictures import explanation_picture
-
-        print(f"picture: {save_picture(explanation_picture(explanation), picture)}")
 
 
 def _picks(races: "RaceTable", numbers: Sequence[int], count: int) -> dict[int, str]:

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import move_names, move_table
@@ -18,16 +17,10 @@ def plane(archive: PolicyArchive) -> tuple[int, int]:
     return min(1, len(archive.characteristics) - 1), 0
 
 
-def in_units(archive: PolicyArchive, normalised: ArrayLike) -> Floats:
-    """Return points in the characteristics' units, shape (..., G), from normalised coordinates."""
-    return archive.nadir + np.asarray(normalised, np.float64) * (archive.ideal - archive.nadir)
-
-
-def draw_archive(axes: Any, archive: PolicyArchive, *, faint: bool = False) -> None:
+def draw_archive(axes: Any, archive: PolicyArchive) -> None:
     """Draw an archive's policies and all explored policies, in the characteristics' units.
 
-    A colour bar shows the policies' crash rate, if known. ``faint``: True draws all policies grey,
-    as a background.
+    A colour bar shows the policies' crash rate, if known.
     """
     right, up = plane(archive)
     # Thousands of explored policies are pixels even in a vector picture, below the archive.
@@ -35,8 +28,8 @@ def draw_archive(axes: Any, archive: PolicyArchive, *, faint: bool = False) -> N
     axes.plot(*explored.T, ".", color="#c3ccd6", ms=3.2, mew=0.0, rasterized=True)
     policies = archive.coordinates[:, [right, up]]
     options: dict[str, Any] = {"s": 30, "zorder": 3, "linewidths": 0.5, "edgecolors": "white"}
-    if faint or archive.own_crash is None:
-        axes.scatter(*policies.T, color="#8b97a5" if faint else COLOURS[0], **options)
+    if archive.own_crash is None:
+        axes.scatter(*policies.T, color=COLOURS[0], **options)
     else:
         shares = 100.0 * archive.own_crash
         dots = axes.scatter(*policies.T, c=shares, cmap="cividis", vmin=0.0, **options)

@@ -1,6 +1,5 @@
 from .explain import explain_race as explain_race, mark_moves as mark_moves
 from .frames import write_gif as write_gif
-from .pictures import explanation_picture as explanation_picture
 from .ros_messages import (
     RosMessage as RosMessage,
     map_message as map_message,
@@ -12,7 +11,6 @@ from .words import story as story
 __all__ = [
     "RosMessage",
     "explain_race",
-    "explanation_picture",
     "map_message",
     "mark_moves",
     "pose_messages",

@@ -26,7 +26,7 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.replay import page_values, player_page
 from pcs_racing_agents.agents.observing import moves_made, opponent, step_count
 from pcs_racing_agents.base.jobs import Progress
-from pcs_racing_agents.policies.picture import axis_limits, in_units, plane
+from pcs_racing_agents.policies.picture import axis_limits, plane
 from pcs_racing_agents.tournament import RaceRow, RaceTable, repeat_race
 from pcs_racing_agents.tournament.races import Categorical
 from pcs_racing_agents.watch.explain import mark_moves
@@ -90,8 +90,9 @@ def _seen(archive: PolicyArchive, played: RaceTable, car: int) -> list[list[floa
     observation, axes = played.observations[:, car], len(archive.characteristics)
     steps = step_count(observation, axes)
     complete = np.arange(steps) <= moves_made(observation, axes)[0]  # without steps after a crash
-    measured = [opponent(observation, axes, step)[0] for step in range(steps)]
-    places = _places(archive, in_units(archive, measured))
+    measured = np.array([opponent(observation, axes, step)[0] for step in range(steps)])
+    units = archive.nadir + measured.reshape(-1, axes) * (archive.ideal - archive.nadir)
+    places = _places(archive, units)
     return [place if known else None for place, known in zip(places, complete, strict=True)]
 
 

@@ -1,23 +1,17 @@
-"""A race as ROS 2 messages, with the topics and frames of f1tenth_gym_ros, and as an MCAP file.
+"""Cars and scans as ROS 2 messages, with the topics and frames of f1tenth_gym_ros.
 
-A message is a mapping of its fields; an omitted field is 0 or empty. The message definitions (ROS 2
-Humble and later) are in ``ros2_messages.txt``. Times are race times, from 0.
+A message is a mapping of its fields; an omitted field is 0 or empty. Times are race times, from 0.
 """
 
-import os
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pcs_racing.base.elementary import sines_cosines
-from pcs_racing.base.errors import require
-from pcs_racing.base.files import write_atomically
 from pcs_racing.base.typing import Floats
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.lidar import Lidar
-from pcs_racing.race.replay import Replay
 from pcs_racing.track.track import Track
 
 
@@ -118,46 +112,3 @@ def pose_messages(cars: Floats, time: int) -> list[RosMessage]:
             head = {"header": _header(time, parent), "child_frame_id": f"{name}/{child}"}
             frames.append({**head, "transform": moved})
     return [*messages, RosMessage("/tf", "tf2_msgs/msg/TFMessage", time, {"transforms": frames})]
-
-
-def race_messages(replay: Replay, track: Track, *, beams: int = 1080) -> Iterator[RosMessage]:
-    """Yield the messages of a race in order of time, 25 times a second; ``/map`` comes first."""
-    yield map_message(track)
-    lidar = Lidar(track, beams=beams)
-    poses = replay.cars[:, :, [_vehicle.X, _vehicle.Y, _vehicle.PSI]]
-    for frame, cars in enumerate(replay.cars):
-        time = round(1e9 * frame * replay.frame_dt)
-        for car in range(len(cars)):
-            # A lidar scan takes one other car: of several scans, the min range of each beam counts.
-            others = [poses[frame, other] for other in range(len(cars)) if other != car] or [None]
-            seen = [lidar.scan(poses[frame, car], other) for other in others]
-            yield scan_message(lidar, np.min(seen, axis=0), car, time)
-        yield from pose_messages(cars, time)
-
-
-def definition(kind: str) -> str:
-    """Return the definition of a message type, then all others, in ROS 2 file format."""
-    text = (Path(__file__).parent / "ros2_messages.txt").read_text(encoding="utf-8")
-    known = dict(part.strip().split("\n", 1) for part in text.split("MSG: ")[1:])
-    parts = [f"MSG: {one.replace('/msg/', '/')}\n{known[one]}" for one in known if one != kind]
-    return f"\n{'=' * 80}\n".join([known[kind], *parts]) + "\n"
-
-
-def write_bag(
-    replay: Replay, track: Track, path: str | os.PathLike[str], *, beams: int = 1080
-) -> Path:
-    """Write a recorded race as an MCAP file for Foxglove and ``ros2 bag play`` (extra "ros")."""
-    path = Path(path)
-    require("mcap_ros2", extra="ros")
-    from mcap_ros2.writer import Writer
-
-    def write(file: Any) -> None:
-        with Writer(file) as writer:
-            schemas: dict[str, Any] = {}
-            for topic, kind, time, fields in race_messages(replay, track, beams=beams):
-                if kind not in schemas:
-                    schemas[kind] = writer.register_msgdef(kind, definition(kind))
-                writer.write_message(topic, schemas[kind], fields, time, time)
-
-    write_atomically(path, write)
-    return path

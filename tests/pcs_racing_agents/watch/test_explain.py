@@ -16,11 +16,10 @@ from pcs_racing.game.players import competitor
 from pcs_racing.race.races import draw_starts
 from pcs_racing.race.replay import ReplayEvent
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.base.style import CARS, picture_bytes, save_picture
-from pcs_racing_agents.policies.picture import archive_picture, in_units
+from pcs_racing_agents.base.style import save_picture
+from pcs_racing_agents.policies.picture import archive_picture
 from pcs_racing_agents.tournament import Pairing
 from pcs_racing_agents.watch.explain import explain_race, value_unit
-from pcs_racing_agents.watch.pictures import explanation_picture
 from pcs_racing_agents.watch.words import lead_words, story, why
 
 
@@ -187,7 +186,6 @@ def test_the_story_tells_every_step_and_a_race_that_ends_at_once(told):
     assert lines[4].startswith("         then: no change, ahead by 2.3 m; it passed")
     empty = replace(told, steps=())
     assert story(empty).splitlines()[1:] == ["The race was over before the first move."]
-    assert picture_bytes(explanation_picture(empty)).startswith(b"<?xml")
     assert [lead_words(lead) for lead in (-0.4, 0.29)] == ["behind by 0.4 m", "level"]
 
 
@@ -247,75 +245,6 @@ def test_open_loop_agents_fixed_policies_and_whoever_answers_predict(contest, sp
     race = explained(contest, competitor(Model(), spec), build("never-switch", spec))
     assert all(step.values is None and step.probabilities is None for step in race.steps)
     assert story(race).startswith("Model (car 0)")
-    assert picture_bytes(explanation_picture(race)).startswith(b"<?xml")
-
-
-def marks(axes):
-    """Single signs: marker, place, and colour of the face."""
-    found = [line for line in axes.lines if len(line.get_xdata()) == 1]
-    return [
-        (one.get_marker(), one.get_xydata()[0].tolist(), one.get_markerfacecolor()) for one in found
-    ]
-
-
-def written(axes):
-    """Texts with their places."""
-    return {
-        (
-            text.get_text(),
-            tuple(np.round(text.xy if hasattr(text, "xy") else text.get_position(), 9).tolist()),
-        )
-        for text in axes.texts
-        if text.get_text()
-    }
-
-
-def test_the_signs_of_a_race_stand_where_things_happened(told):
-    figure = explanation_picture(told)
-    space, track, *panels = figure.axes
-    at = told.replay.cars[:, :, :2].tolist()
-    assert marks(track) == [
-        ("s", at[0][0], CARS[0]),
-        ("s", at[0][1], CARS[1]),
-        ("^", at[16][1], CARS[1]),
-        ("^", at[24][0], CARS[0]),
-        ("X", at[-1][1], CARS[1]),
-    ]
-    assert written(track) == {
-        (str(k + 1), tuple(np.round(at[16 * (k + 1)][car], 9).tolist()))
-        for k in (0, 1)
-        for car in (0, 1)
-    }
-    # The arrow of the first move; the second one keeps its policy.
-    before, after = told.game.archive.coordinates[[3, 5]][:, [1, 0]]
-    (arrow,) = (text for text in space.texts if text.get_text() == "")
-    assert (*arrow.xy, *arrow.xyann) == (*after, *before)
-    seen = [
-        tuple(np.round(in_units(told.game.archive, step.opponent)[[1, 0]], 9).tolist())
-        for step in told.steps
-    ]
-    assert {("1", seen[0]), ("2", seen[1]), ("2: kept", tuple(np.round(after, 9).tolist()))} <= (
-        written(space)
-    )
-    assert [axes.get_visible() for axes in panels] == [True] * 2 + [False] * (len(panels) - 2)
-
-
-@pytest.mark.parametrize(
-    ("unit", "change", "label"),
-    [
-        ("of a win", {}, "value (of a win) of each move; coloured: made"),
-        ("", {}, "value (relative) of each move; coloured: made"),
-        ("", {"values": None}, "chance of each move; coloured: made"),
-    ],
-)
-def test_bars_are_values_in_their_unit_or_chances(told, unit, change, label):
-    steps = tuple(step._replace(**change) for step in told.steps)
-    figure = explanation_picture(replace(told, unit=unit, steps=steps))
-    expected = told.steps[0].probabilities if change else told.steps[0].values
-    panel = figure.axes[2]
-    assert [patch.get_width() for patch in panel.patches] == pytest.approx(expected.tolist())
-    assert panel.get_title("left") == "1: 0.8 s, aggressiveness +"
-    assert label in {text.get_text() for panel in figure.subfigs for text in panel.texts}
 
 
 def test_the_archive_shows_where_moves_lead(archive, tmp_path):

@@ -1,9 +1,4 @@
-"""A race as messages of ROS 2, read again by two other libraries, and the bridge's logic without
-ROS.
-"""
-
-import re
-from dataclasses import replace
+"""Cars and scans as messages of ROS 2, and a race as a video."""
 
 import numpy as np
 import pytest
@@ -12,34 +7,18 @@ from refusal import refused
 from pcs_racing import load_rules, load_track, racer, record_race
 from pcs_racing.car.lidar import Lidar
 from pcs_racing_agents.watch.frames import write_video
-from pcs_racing_agents.watch.ros_messages import car_topics, definition, race_messages, write_bag
+from pcs_racing_agents.watch.ros_messages import (
+    car_topics,
+    map_message,
+    pose_messages,
+    scan_message,
+)
 
 
 @pytest.fixture(scope="module")
 def race():
     calm, bold = racer("lattice:pace=0.3"), racer("lattice:pace=0.6")
     return record_race(load_track("Pipkin"), calm, bold, load_rules("paper", duration=1.0), seed=1)
-
-
-TOPICS = {
-    "/map": "nav_msgs/msg/OccupancyGrid",
-    "/scan": "sensor_msgs/msg/LaserScan",
-    "/opp_scan": "sensor_msgs/msg/LaserScan",
-    "/ego_racecar/odom": "nav_msgs/msg/Odometry",
-    "/opp_racecar/odom": "nav_msgs/msg/Odometry",
-    "/tf": "tf2_msgs/msg/TFMessage",
-}
-
-
-def test_what_is_published_when(race):
-    messages = list(race_messages(race, load_track("Pipkin"), beams=9))
-    assert {message.topic: message.kind for message in messages} == TOPICS
-    times = [message.time for message in messages]
-    assert times == sorted(times)
-    assert times[-1] == 10**9
-    assert len(messages) == 1 + 5 * len(race.cars)
-    kinds = re.findall("^MSG: ([a-z0-9_]+)/([A-Z][A-Za-z]+)$", definition(TOPICS["/tf"]), re.M)
-    assert {("geometry_msgs", "TransformStamped"), ("std_msgs", "Header")} <= set(kinds)
 
 
 def quaternion(psi):
@@ -53,21 +32,23 @@ def quaternion(psi):
 
 def test_each_message_holds_what_the_race_says_at_its_time(race):
     """All fields of the cars, from their states x, y, delta, v, psi, psi_dot and beta."""
-    track, lidar = load_track("Pipkin"), Lidar(load_track("Pipkin"), beams=9)
-    circuit, *messages = race_messages(race, track, beams=9)
-    info, arrays = circuit.fields["info"], track.arrays
-    assert (info["width"], info["height"], info["resolution"]) == (
-        *arrays.distance.shape[::-1],
-        arrays.cell,
-    )
+    track = load_track("Pipkin")
+    lidar, circuit, arrays = Lidar(track, beams=9), map_message(track), track.arrays
+    assert circuit[:3] == ("/map", "nav_msgs/msg/OccupancyGrid", 0)
+    info = circuit.fields["info"]
+    assert (info["width"], info["height"]) == arrays.distance.shape[::-1]
+    assert info["resolution"] == arrays.cell
     assert info["origin"]["position"] == {"x": arrays.origin_x, "y": arrays.origin_y, "z": 0.0}
     assert set(circuit.fields["data"]) == {0, 100}
     for frame, states in enumerate(race.cars):
         time = round(frame * 4e7)
-        own, other, *odometry, tf = messages[5 * frame : 5 * frame + 5]
+        *odometry, tf = pose_messages(states, time)
         stamp = {"sec": time // 10**9, "nanosec": time % 10**9}
+        assert tf[:3] == ("/tf", "tf2_msgs/msg/TFMessage", time)
         for car, (message, state) in enumerate(zip(odometry, states, strict=True)):
             name = ("ego", "opp")[car]
+            odom = (f"/{name}_racecar/odom", "nav_msgs/msg/Odometry", time)
+            assert message[:3] == odom
             x, y, _, v, psi, psi_dot, beta = state
             pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": quaternion(psi)}
             linear = {
@@ -93,55 +74,19 @@ def test_each_message_holds_what_the_race_says_at_its_time(race):
                 }
                 for parent, child, transform in frames
             ]
-        for car, scan in enumerate((own, other)):
-            ranges = scan.fields.pop("ranges")
-            assert ranges == lidar.scan(states[car, [0, 1, 4]], states[1 - car, [0, 1, 4]]).tolist()
+        for car, name in enumerate(("ego", "opp")):
+            ranges = lidar.scan(states[car, [0, 1, 4]], states[1 - car, [0, 1, 4]])
+            scan = scan_message(lidar, ranges, car, time)
+            assert scan[:3] == (("/scan", "/opp_scan")[car], "sensor_msgs/msg/LaserScan", time)
+            assert scan.fields.pop("ranges") == ranges.tolist()
             assert scan.fields == {
-                "header": {"stamp": stamp, "frame_id": f"{('ego', 'opp')[car]}_racecar/laser"},
+                "header": {"stamp": stamp, "frame_id": f"{name}_racecar/laser"},
                 "angle_min": -2.35,
                 "angle_max": 2.35,
                 "angle_increment": pytest.approx(4.7 / 8),
                 "range_max": 30.0,
             }
     assert car_topics(2) == ("opp2_racecar", "/opp2_scan", "/opp2_racecar/odom")
-    alone = replace(
-        race,
-        car_names=("a",),
-        cars=race.cars[:1, :1],
-        progress=race.progress[:1, :1],
-        paths=None,
-        ittc=None,
-        events=(),
-        candidates=None,
-        costs=None,
-    )
-    _, scan, _, _ = race_messages(alone, track, beams=9)
-    assert scan.fields["ranges"] == lidar.scan(race.cars[0, 0, [0, 1, 4]], None).tolist()
-
-
-def check_read(race, kept):
-    """The messages that a library reads again, by topic, are the race."""
-    expected = {topic: 1 if topic == "/map" else len(race.cars) for topic in TOPICS}
-    assert {topic: len(found) for topic, found in kept.items()} == expected
-    track, last = load_track("Pipkin"), race.cars[-1]
-    pose = kept["/opp_racecar/odom"][-1].pose.pose
-    assert [pose.position.x, pose.position.y] == last[1, :2].tolist()
-    scan = kept["/scan"][-1]
-    expected = Lidar(track, beams=9).scan(last[0, [0, 1, 4]], last[1, [0, 1, 4]])
-    np.testing.assert_array_equal(np.asarray(scan.ranges), expected.astype(np.float32))
-    cells = np.reshape(kept["/map"][0].data, track.arrays.distance.shape)
-    np.testing.assert_array_equal(cells == 0, track.arrays.distance > 0.0)
-
-
-def test_mcap_ros2_reads_the_file_again(race, tmp_path):
-    reader = pytest.importorskip(
-        "mcap_ros2.reader", reason="mcap-ros2-support, of the extra ros, is not installed"
-    )
-    path = write_bag(race, load_track("Pipkin"), tmp_path / "race.mcap", beams=9)
-    kept = {}
-    for message in reader.read_ros2_messages(str(path)):
-        kept.setdefault(message.channel.topic, []).append(message.ros_msg)
-    check_read(race, kept)
 
 
 def test_other_names_of_files_are_refused_and_a_video_is_written(race, tmp_path):
