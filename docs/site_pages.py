@@ -33,6 +33,7 @@ ENVIRONMENTS = {
     ),
     "duel": ("pcs_racing.envs.duel", "DuelEnv", "Duel: one agent's moves"),
     "drive": ("pcs_racing.envs.drive", "DriveEnv", "Drive: steering and speed"),
+    "line": ("pcs_racing.envs.line", "LineEnv", "Line: a choice among candidates"),
 }
 NAMES = {
     "head_to_head": '`pettingzoo.make("parallel", "pcs_racing/head_to_head-v1")`, or `"aec"`',
@@ -41,6 +42,7 @@ NAMES = {
     ),
     "duel": '`gym.make("pcs_racing/Duel-v1")`',
     "drive": '`gym.make("pcs_racing/Drive-v1")`',
+    "line": '`gym.make("pcs_racing/Line-v0")`',
 }
 TABLES: dict[str, dict[str, Any]] = {"duel": {}, "drive": {"beams": 2}}
 """Arguments of the environments whose pages list the elements of an observation."""

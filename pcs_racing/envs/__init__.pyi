@@ -1,4 +1,4 @@
-from . import drive as drive, duel as duel
+from . import drive as drive, duel as duel, line as line
 from .batch import Step as Step
 from .drive import (
     DriveEnv as DriveEnv,
@@ -13,6 +13,13 @@ from .duel import (
     SelfPlayVectorEnv as SelfPlayVectorEnv,
 )
 from .infos import Result as Result
+from .line import (
+    LineEnv as LineEnv,
+    LineHeadToHeadEnv as LineHeadToHeadEnv,
+    LineHeadToHeadVectorEnv as LineHeadToHeadVectorEnv,
+    LineVectorEnv as LineVectorEnv,
+)
+from .line_options import split_observation as split_observation
 from .obstacles import Obstacles as Obstacles
 from .random_circuits import RandomCircuits as RandomCircuits
 from .registration import (
@@ -33,6 +40,10 @@ __all__ = [
     "DuelEnv",
     "DuelVectorEnv",
     "HeadToHeadEnv",
+    "LineEnv",
+    "LineHeadToHeadEnv",
+    "LineHeadToHeadVectorEnv",
+    "LineVectorEnv",
     "Obstacles",
     "RandomCircuits",
     "RecordRaces",
@@ -42,6 +53,8 @@ __all__ = [
     "Step",
     "drive",
     "duel",
+    "line",
     "make_sb3_vec_env",
     "register_environments",
+    "split_observation",
 ]

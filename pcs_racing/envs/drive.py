@@ -158,7 +158,7 @@ class DriveVectorEnv(BatchVectorEnv):
     options_type = DriveOptions
 
 
-def _count_agents(options: HeadToHeadOptions) -> int:
+def count_agents(options: Any) -> int:
     """Return the number of cars without an opponent."""
     opponents = len(rivals_of(options.opponent, options.opponents))
     if opponents >= options.cars:
@@ -166,6 +166,15 @@ def _count_agents(options: HeadToHeadOptions) -> int:
             f"cars is {options.cars}, and there are {opponents} opponents; leave a car to an agent"
         )
     return options.cars - opponents
+
+
+def count_pairs(options: Any) -> int:
+    """Return the number of cars without an opponent, for a vector environment of self-play."""
+    if options.opponent is not None:
+        raise InputError(
+            f"opponent is {options.opponent!r}; it must be None here, give opponents instead"
+        )
+    return count_agents(options)
 
 
 class DriveHeadToHeadEnv(ParallelBatchEnv):
@@ -250,7 +259,7 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     options_type = HeadToHeadOptions
 
     def _count_players(self, options: HeadToHeadOptions) -> int:
-        return _count_agents(options)
+        return count_agents(options)
 
 
 class DriveHeadToHeadVectorEnv(BatchVectorEnv):
@@ -276,11 +285,7 @@ class DriveHeadToHeadVectorEnv(BatchVectorEnv):
     players = 2
 
     def _count_players(self, options: HeadToHeadOptions) -> int:
-        if options.opponent is not None:
-            raise InputError(
-                f"opponent is {options.opponent!r}; it must be None here, give opponents instead"
-            )
-        return _count_agents(options)
+        return count_pairs(options)
 
 
 parallel_env = DriveHeadToHeadEnv

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -33,11 +33,9 @@ from pcs_racing.envs.batch import (
 )
 from pcs_racing.envs.drive_kernel import (
     Inputs,
-    Limits,
     Orders,
     Races,
     RewardTerms,
-    Sight,
     StepResults,
     eyes_for,
     make_buffers,
@@ -66,7 +64,7 @@ from pcs_racing.envs.infos import (
 from pcs_racing.envs.origins import mark
 from pcs_racing.envs.randomization import EpisodeRandomization
 from pcs_racing.race.conditions import RaceConditions, Share, runs_of
-from pcs_racing.race.config import load_rules
+from pcs_racing.race.config import DT, load_rules
 from pcs_racing.race.driving import (
     advance,
     default_threads,
@@ -74,7 +72,14 @@ from pcs_racing.race.driving import (
     planner_error,
     pointers_of,
 )
-from pcs_racing.race.kernel import WORK_SIZE, Crew, Scratch, advance_races, parts_for
+from pcs_racing.race.kernel import (
+    WORK_SIZE,
+    Crew,
+    KernelSettings,
+    Scratch,
+    advance_races,
+    parts_for,
+)
 from pcs_racing.race.races import (
     RaceSetup,
     draw_handicaps,
@@ -103,44 +108,33 @@ class DriveRules:
     """Everything about a batch of races that never changes."""
 
     #: Arguments; ``vehicle`` are the agents' cars, with both ends of draws of steering and speed.
-    options: DriveOptions
-    players: int  #: Number of agents in each race; they steer the first cars.
+    options: Any
+    players: int  #: Number of agents in each race; they drive the first cars.
     cars: int  #: Number of cars in each race.
     #: Opponents of each car without an agent; one is drawn for each episode.
     rivals: "tuple[list[Opponent], ...]"
     planners: "tuple[tuple[Planner, ...], ...]"  #: Planner of each opponent in ``rivals``.
     game: "RaceGame | None"  #: Game of the opponents that make moves; None if there are none.
     setup: RaceSetup  #: Rules, planners and cars, on the first track.
-    elements: list[Any]  #: Elements of an observation.
-    sight: Sight  #: Observation of the players; its ``ahead`` depends on the track.
-    limits: Limits  #: Ends of the range of an action.
-    terms: RewardTerms  #: Terms of the reward.
 
     @property
     def opponents(self) -> "list[Opponent]":
         """Opponents of the only car without an agent; with several such cars none is drawn."""
         return self.rivals[0] if len(self.rivals) == 1 else []
 
-    def spaces(self) -> tuple[spaces.Box, spaces.Box]:
-        """Return the spaces of observations and actions."""
-        sight = self.sight
-        low, high = (bound * sight.gain + sight.shift for bound in (sight.low, sight.high))
-        turn, low_speed, top = self.limits
-        units = [[-turn, low_speed], [turn, top]]
-        normalized = self.options.normalized
-        ends = np.array([[-1.0, -1.0], [1.0, 1.0]] if normalized else units, np.float32)
-        return (
-            spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32),
-            spaces.Box(ends[0], ends[1], dtype=np.float32),
-        )
 
-
-def drive_rules(
-    options: DriveOptions, players: int, randomization: EpisodeRandomization
+def race_rules(
+    options: Any,
+    players: int,
+    randomization: EpisodeRandomization,
+    driver: "Planner | None" = None,
+    like: Mapping[str, Any] | None = None,
 ) -> DriveRules:
-    """Return the rules of a batch of races; load planners, models and archives of opponents."""
-    # Actions, observations and saved models follow from the agents' cars alone.
-    options = replace(options, vehicle=randomization.widest(players))
+    """Return the rules of a batch of races; load planners, models and archives of opponents.
+
+    ``driver`` is the planner of the agents' cars; None if agents steer. ``like`` are the arguments
+    of models without their own.
+    """
     given = rivals_of(options.opponent, options.opponents)
     cars, track = players + len(given), randomization.circuits.track(0)
     changes = {name: getattr(options, name) for name in ("start_lines", "duration", "laps")}
@@ -161,7 +155,6 @@ def drive_rules(
     if given:
         from pcs_racing.envs.opponents import read_opponents
 
-        like = {"environment": "drive", **drive_arguments(options, cars)}
         rivals = tuple(read_opponents(one, cache(make_game), like) for one in given)
     moving = any(not one.policies for several in rivals for one in several)
     if (cars > 2 and moving) or (len(rivals) > 1 and any(len(several) > 1 for several in rivals)):
@@ -175,20 +168,13 @@ def drive_rules(
     setup = RaceSetup(
         track,
         config,
-        tuple(several[0] for several in planners),
+        (() if driver is None else (driver,) * players) + tuple(several[0] for several in planners),
         randomization.cars,
         # The queue of delayed commands has the size of the max delays, for all episodes.
         randomization.ranges.max_delays,
-        steered=players,
+        steered=players if driver is None else 0,
         substitutes=tuple(one for several in planners for one in several[1:]),
     )
-    elements = drive_elements(options, cars)
-    if randomization.episodes * players * len(elements) > MAX_NUMBERS:
-        raise InputError(
-            f"{randomization.episodes * players} environments observe {len(elements)} numbers each;"
-            f" take fewer environments or beams: {MAX_NUMBERS} numbers are the limit"
-        )
-    sight = make_sight(options, cars, players, track)._replace(end_tick=config.ticks)
     return DriveRules(
         options=options,
         players=players,
@@ -197,10 +183,6 @@ def drive_rules(
         planners=tuple(map(tuple, planners)),
         game=game,
         setup=setup,
-        elements=elements,
-        sight=sight,
-        limits=options.limits,
-        terms=_reward_terms(options),
     )
 
 
@@ -211,36 +193,12 @@ def _move_opponents(races: int, game: "RaceGame") -> "MovingOpponents":
     return MovingOpponents(races, game)
 
 
-def _reward_terms(options: DriveOptions) -> RewardTerms:
-    weights = options.progress_reward, options.rivalry, options.crash_penalty
-    return RewardTerms(
-        weights=(float(weights[0]), float(weights[1]), float(weights[2])),
-        decided=options.win_reward > 0.0,
-    )
-
-
 class Circuit(NamedTuple):
     """A track, with the data shared by all races on it."""
 
     setup: RaceSetup
     grid: RaceState  #: Races at all start places of episodes.
-    inputs: Inputs  #: Inputs of races without obstacles.
-
-
-def make_circuit(rules: DriveRules, track: Track, randomization: EpisodeRandomization) -> Circuit:
-    """Return the data of a track, on whose grid all drawn cars fit."""
-    setup = replace(rules.setup, track=track)
-    lines = start_lines(track, setup.rules, 0, split="train")
-    randomization.check_bodies(setup, lines)
-    count = places_of_grid(rules.cars)
-    places = Starts(np.repeat(lines, count), np.tile(np.arange(count), len(lines)))
-    grid = start_races(setup, places, np.zeros(len(places), np.uint64))
-    settings = setup.settings
-    # Time to collision is slow to compute; only opponents that observe characteristics need it.
-    if rules.game is None:
-        settings = settings._replace(ittc_horizon=0.0)
-    sight = rules.sight._replace(ahead=samples_ahead(rules.options, track))
-    return Circuit(setup, grid, Inputs(track.arrays, settings, sight))
+    inputs: Any  #: Inputs of the kernels, for races without obstacles.
 
 
 class DriveBatch:
@@ -252,6 +210,14 @@ class DriveBatch:
     """
 
     reset_options: tuple[str, ...] = ("start", "poses", "obstacles")  #: Options of :meth:`restart`.
+    step_kernel: ClassVar[Any] = step_races
+    action_dtype: ClassVar[Any] = np.float64
+    noun: ClassVar[str] = "the control-level environment"
+    options: Any  #: Arguments of the environment.
+    elements: list[Any]  #: Elements of an observation.
+    sight: Any  #: Observation of the players.
+    terms: Any  #: Terms of the reward.
+    kept: tuple[NDArray[Any], ...] = ()  #: Further arrays of the batch's state.
 
     def __init__(
         self,
@@ -265,33 +231,86 @@ class DriveBatch:
         self.episodes, self.players, self.options = int(episodes), players, options
         self.cars = players + len(rivals_of(options.opponent, options.opponents))
         self.randomization = EpisodeRandomization(self.episodes, options, cars=self.cars)
-        self.rules = rules = drive_rules(options, players, self.randomization)
-        self.setup, self.elements, self.opponents = rules.setup, rules.elements, rules.opponents
+        # Actions, observations and saved models follow from the agents' cars alone.
+        self.rules = self._make_rules(replace(options, vehicle=self.randomization.widest(players)))
+        self.setup, self.opponents = self.rules.setup, self.rules.opponents
+        if self.episodes * players * len(self.elements) > MAX_NUMBERS:
+            raise InputError(
+                f"{self.episodes * players} environments observe {len(self.elements)} numbers each;"
+                f" take fewer environments or beams: {MAX_NUMBERS} numbers are the limit"
+            )
         self.handicaps = self.setup.rules.gives_handicaps
         #: Number of steps of an episode without an early end.
         self.horizon = -(-self.setup.rules.ticks // options.ticks)
         #: Number of steps in a second of racing.
-        self.frame_rate = max(1, round(1.0 / options.time_step))
+        self.frame_rate = max(1, round(1.0 / (options.ticks * DT)))
         self.codes: Mapping[str, Mapping[int, str]] = {
             **common_codes(opponent.name for opponent in self.opponents),
             **self.randomization.codes,
         }
-        arguments = drive_arguments(rules.options, self.cars)
-        self.observation_space, self.action_space = (
-            mark(space, "drive", arguments) for space in rules.spaces()
-        )
+        self.observation_space, self.action_space = self._make_spaces()
         self._begin()
         self._hire(threads)
+
+    @property
+    def effort(self) -> float:
+        """Effort of the compilation of the observation, in the unit of `first_call`."""
+        return 100.0 * (self.options.beams > 0)
+
+    def _make_rules(self, options: DriveOptions) -> DriveRules:
+        """Return the rules; set the elements, the observation and the reward."""
+        arguments = drive_arguments(options, self.cars)
+        like = {"environment": "drive", **arguments}
+        rules = race_rules(options, self.players, self.randomization, like=like)
+        self._arguments, self.limits = arguments, options.limits
+        self.elements = drive_elements(options, self.cars)
+        # `ahead` depends on the track.
+        sight = make_sight(options, self.cars, self.players, rules.setup.track)
+        self.sight = sight._replace(end_tick=rules.setup.rules.ticks)
+        weights = options.progress_reward, options.rivalry, options.crash_penalty
+        self.terms = RewardTerms(
+            weights=(float(weights[0]), float(weights[1]), float(weights[2])),
+            decided=options.win_reward > 0.0,
+        )
+        return rules
+
+    def _make_spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
+        """Return the spaces of observations and actions."""
+        sight = self.sight
+        low, high = (bound * sight.gain + sight.shift for bound in (sight.low, sight.high))
+        turn, low_speed, top = self.limits
+        units = [[-turn, low_speed], [turn, top]]
+        whole = [[-1.0, -1.0], [1.0, 1.0]]
+        ends = np.array(whole if self.options.normalized else units, np.float32)
+        seen = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        acts = spaces.Box(ends[0], ends[1], dtype=np.float32)
+        return mark(seen, "drive", self._arguments), mark(acts, "drive", self._arguments)
+
+    def _make_circuit(self, number: int) -> Circuit:
+        """Return the data of a track, on whose grid all drawn cars fit."""
+        track = self.randomization.circuits.track(number)
+        setup = replace(self.setup, track=track)
+        lines = start_lines(track, setup.rules, 0, split="train")
+        self.randomization.check_bodies(setup, lines)
+        count = places_of_grid(self.cars)
+        places = Starts(np.repeat(lines, count), np.tile(np.arange(count), len(lines)))
+        grid = start_races(setup, places, np.zeros(len(places), np.uint64))
+        settings = setup.settings
+        # Time to collision is slow to compute; only opponents that observe characteristics need it.
+        if self.rules.game is None:
+            settings = settings._replace(ittc_horizon=0.0)
+        return Circuit(setup, grid, self._make_inputs(track, settings))
+
+    def _make_inputs(self, track: Track, settings: KernelSettings) -> Any:
+        """Return the inputs of the kernels on a track."""
+        sight = self.sight._replace(ahead=samples_ahead(self.options, track))
+        return Inputs(track.arrays, settings, sight)
 
     def _begin(self) -> None:
         """Make the state: a race on the first start place of the first track for each episode."""
         races, randomization, opponents = self.episodes, self.randomization, self.opponents
         #: Data of the tracks by number. At most as many tracks are in use as there are races.
-        self.circuit = lru_cache(maxsize=KEPT + races)(
-            lambda number: make_circuit(
-                self.rules, randomization.circuits.track(number), randomization
-            )
-        )
+        self.circuit = lru_cache(maxsize=KEPT + races)(self._make_circuit)
         circuit = self.circuit(0)
         self._inputs = [circuit.inputs] * races  # inputs of each race
         self._uniform = not randomization.circuits.several  # False from the first obstacle on
@@ -319,37 +338,52 @@ class DriveBatch:
         """Start the threads that share a step, each with enough work, and compile the step."""
         planners, options = [one for own in self.rules.planners for one in own], self.options
         self._in_python = any(planner.drive is not None for planner in planners)
-        scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
-        work = self.episodes * (0.5 * max(2, self.cars) * TICK_US * options.ticks + scans)
+        work = self.episodes * (0.5 * max(2, self.cars) * TICK_US * options.ticks + self._look_us())
         #: Number of threads that share a step.
         self.threads = min(threads or default_threads(), max(1, int(work / US_OF_A_THREAD)))
         if self._in_python:
             self.threads = 1
         size = largest_scratch(planners)
-        self._buffers = [
-            make_buffers(size, WORK_SIZE, len(self.elements), self.cars)
-            for _ in range(self.threads)
-        ]
+        self._buffers = [self._make_buffers(size) for _ in range(self.threads)]
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # starts threads on demand
         self._compiled: Callable[..., None] | None = None
-        effort = 160.0 + 200.0 * bool(planners) + 100.0 * (options.beams > 0)
-        with first_call(step_races, "the control-level environment", effort) as compiling:
+        effort = 160.0 + 200.0 * bool(planners) + self.effort
+        with first_call(self.step_kernel, self.noun, effort) as compiling:
             for planner in planners:  # all that may be drawn
                 planner.pointers()
             self._pointers = pointers_of(self._shares(), self.episodes)
             self._obstructed = False
             self._equip(self._rows)
-            inputs, buffers, seen = self._inputs[0], self._buffers[0], self._results().observations
+            inputs, buffers = self._inputs[0], self._buffers[0]
             own = Scratch(buffers.scratch, buffers.work)
             self._advance = compiled_address(
                 advance_races, inputs.track, self.races, inputs.settings, self._crew, 0, 0, 0, own
             )
-            self._observe = compiled_address(
-                observe_races, inputs, self.races, self._eyes, self._rows, 0, 0, buffers, seen
-            )
+            self._compile()
             if compiling:
-                actions = np.empty((self.episodes, self.players, 2))
+                shape = self.episodes, self.players, *(self.action_space.shape or ())
+                actions = np.zeros(shape, self.action_dtype)
                 self._step_part(self._orders(actions, 0), 0, 0, 0, self._results())
+
+    def _make_eyes(self, inputs: Any, moving: bool) -> Any:
+        """Return the kernels that observations need; ``moving``: obstacles move."""
+        return eyes_for(inputs, self.races, self._buffers[0], moving)
+
+    def _look_us(self) -> float:
+        """Return the time of the observations of a race, us."""
+        beams = self.options.beams
+        return self.players * (SCAN_US + BEAM_US * beams) if beams > 0 else 0.0
+
+    def _make_buffers(self, scratch: int) -> Any:
+        """Return the scratch memory of a thread, with the given size for planners."""
+        return make_buffers(scratch, WORK_SIZE, len(self.elements), self.cars)
+
+    def _compile(self) -> None:
+        """Compile the observation."""
+        inputs, buffers, seen = self._inputs[0], self._buffers[0], self._results().observations
+        self._observe = compiled_address(
+            observe_races, inputs, self.races, self._eyes, self._rows, 0, 0, buffers, seen
+        )
 
     def _equip(self, rows: Rows) -> None:
         """Compile the kernels that the races need, after changes to cars or tracks of some."""
@@ -358,7 +392,7 @@ class DriveBatch:
         inputs, races, moving = self._inputs[0], self.races, self._obstructed
         parts = parts_for(inputs.settings, races.vehicles, moving)
         self._crew = Crew(self._pointers, parts)
-        self._eyes = eyes_for(inputs, races, self._buffers[0], moving)
+        self._eyes = self._make_eyes(inputs, moving)
 
     @property
     def track(self) -> Track:
@@ -530,14 +564,14 @@ class DriveBatch:
                 f"action{where} is {rows[i].tolist()}; steering and speed must be finite, in"
                 " [-1, 1]"
             )
-        return values if self.options.normalized else shares(values, self.rules.limits)
+        return values if self.options.normalized else shares(values, self.limits)
 
     def step(self, actions: NDArray[np.float64], generators: Generators = ()) -> BatchStep:
         """Advance every race by one step."""
         races, ticks, results = self.episodes, self.options.ticks, self._results()
         if self._in_python:
             # The kernel then only computes rewards and observations: 0 ticks.
-            set_commands(actions, self.rules.limits, self.races, 0, races)
+            self._command(actions)
             self._advance_in_python(ticks)
             ticks = 0
         orders = self._orders(actions, ticks)
@@ -553,7 +587,7 @@ class DriveBatch:
             self._step_part(orders, 0, edges[1], 0, results)
             for part in parts:
                 part.result()
-        if self.rules.terms.decided and self.cars > 1:
+        if self.terms.decided and self.cars > 1:
             self._pay_winners(results)
         if self._moving is not None:
             self._moving.move(self.state, self.theta, self.opponents, self.drawn)
@@ -568,9 +602,17 @@ class DriveBatch:
             winner = winners(self.setup.rules, take(self.state, rows))[:, None]
             won = np.where(winner == np.arange(self.players), 1.0, -1.0) * (winner >= 0)
             rewards = results.reward.reshape(-1, self.players)
-            rewards[rows] += float(self.options.win_reward) * won
+            rewards[rows] += self._win_rewards(rows) * won
 
-    def _orders(self, actions: NDArray[np.float64], ticks: int) -> Orders:
+    def _win_rewards(self, rows: Rows) -> Any:
+        """Return the rewards of wins in some races, for all players or shape (n, players)."""
+        return float(self.options.win_reward)
+
+    def _command(self, actions: NDArray[np.float64]) -> None:
+        """Give the actions to the cars of all races."""
+        set_commands(actions, self.limits, self.races, 0, self.episodes)
+
+    def _orders(self, actions: NDArray[Any], ticks: int) -> Any:
         return Orders(
             self._advance,
             self._observe,
@@ -579,8 +621,8 @@ class DriveBatch:
             self._rows,
             ticks,
             actions,
-            self.rules.limits,
-            self.rules.terms,
+            self.limits,
+            self.terms,
         )
 
     def _results(self) -> StepResults:
@@ -594,7 +636,7 @@ class DriveBatch:
         )
 
     def _step_part(
-        self, orders: Orders, first: int, last: int, worker: int, results: StepResults
+        self, orders: Any, first: int, last: int, worker: int, results: StepResults
     ) -> None:
         """Step a part of the races, on one thread."""
         # One kernel call steps a run of consecutive races on the same track.
@@ -606,7 +648,7 @@ class DriveBatch:
             arguments = inputs, self.races, orders, first + low, first + high, buffers, results
             # Looked up once: finding the machine code by all argument types is slower than a step.
             if self._compiled is None:
-                self._compiled = compiled_for(step_races, arguments)
+                self._compiled = compiled_for(self.step_kernel, arguments)
             try:
                 self._compiled(*arguments)
             except Exception as error:
@@ -688,21 +730,20 @@ class DriveBatch:
         names += [rivals[max(info["opponent"], 0)].name for rivals in self.rules.rivals]
         if self.cars > 1:
             text += f"    lead of {names[0]} {info['lead']:+.1f} m"
-        plans = [np.full((1, 2), np.nan)] * self.players + list(
-            self.state.path[race, self.players :]
-        )
+        steered = self.setup.steered
+        plans = [np.full((1, 2), np.nan)] * steered + list(self.state.path[race, steered:])
         renderer.show(self.randomization.track(race), half_sizes(self.races.vehicles[race]))
         return renderer.render(
             cars,
-            plans=plans if self.rules.rivals else None,
+            plans=plans if self.cars > steered else None,
             names=names,
             text=text,
             time=info["time"],
         )
 
     def get_state(self) -> tuple[Any, ...]:
-        """Return copies of the races, of the opponents' indices, parameters, moves, weights, and of
-        the faults before the last step.
+        """Return copies of the races, of the opponents' indices, parameters, moves, weights, of the
+        faults before the last step, and of `kept`.
         """
         moving = None if self._moving is None else self._moving.get_state()
         return (
@@ -713,6 +754,7 @@ class DriveBatch:
             self.randomization.get_state(),
             self.weights.copy(),
             self._paid.copy(),
+            tuple(array.copy() for array in self.kept),
         )
 
     def check_state(self, state: tuple[Any, ...]) -> list[Track]:
@@ -722,7 +764,7 @@ class DriveBatch:
         """
         moving = None if self._moving is None else FREE
         mine = self.state, self.drawn, self.theta, moving, FREE, self.weights, self._paid
-        check_part("the state", state, mine)
+        check_part("the state", state, (*mine, self.kept))
         check_weights(state[5], self.weights)
         tracks = self.randomization.check_state(state[4])
         lengths = np.array([track.length for track in tracks])
@@ -735,7 +777,7 @@ class DriveBatch:
     def set_state(self, state: tuple[Any, ...]) -> None:
         """Continue from a state of `get_state`, from this or an equal batch."""
         tracks = self.check_state(state)
-        races, drawn, theta, moving, randomization, weights, paid = state
+        races, drawn, theta, moving, randomization, weights, paid, kept = state
         self.randomization.set_state(randomization, tracks)
         for number, rows in self.randomization.groups(self._rows):
             self._set_inputs(rows, self.circuit(number).inputs)
@@ -744,6 +786,8 @@ class DriveBatch:
             own[...] = getattr(races, name)
         self.drawn[:], self.theta[:], self.weights = drawn, theta, weights.copy()
         self._paid[:] = paid
+        for array, value in zip(self.kept, kept, strict=True):
+            array[:] = value
         for row in range(self.episodes):
             self._seat(row)
         self._equip(self._rows)

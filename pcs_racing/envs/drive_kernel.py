@@ -455,17 +455,26 @@ def set_commands(actions, limits, races, first, last):
                     command[0] = memory[0] + state.disturbance[race, car]
 
 
+@inner_kernel(forceinline=True)
+def end_race(state, race, end_tick, decided, players, results):
+    """Write whether a race has ended for its players; ``decided``: the time's end decides it."""
+    over = laps_driven(state.laps, race)
+    for car in range(state.crash.shape[1]):
+        over |= state.crash[race, car] != 0
+    late = state.tick[race] >= end_tick
+    ended = over or (late and decided)
+    for player in range(race * players, (race + 1) * players):
+        results.terminated[player] = ended
+        results.truncated[player] = late and not ended
+
+
 @inner_kernel
 def _end_step(state, end_tick, terms, players, results, first, last):
     """Write rewards and ends of a step, from the progress before it and the state after it."""
-    progress, crash, fault, before = state.progress, state.crash, state.fault, results.before
+    progress, fault, before = state.progress, state.fault, results.before
     number = progress.shape[1]
     for race in range(first, last):
-        over = laps_driven(state.laps, race)
-        for car in range(number):
-            over |= crash[race, car] != 0
-        late = state.tick[race] >= end_tick
-        ended = over or (late and terms.decided)
+        end_race(state, race, end_tick, terms.decided, players, results)
         for car in range(players):
             own = progress[race, car] - before[race, car]
             opponents = 0.0
@@ -474,10 +483,7 @@ def _end_step(state, end_tick, terms, players, results, first, last):
                     opponents += progress[race, other] - before[race, other]
             rival = opponents / max(1, number - 1)
             blamed = 1 if fault[race, car] > results.faults[race, car] else 0
-            player = race * players + car
-            results.reward[player] = step_reward(own, rival, blamed, terms.weights)
-            results.terminated[player] = ended
-            results.truncated[player] = late and not ended
+            results.reward[race * players + car] = step_reward(own, rival, blamed, terms.weights)
 
 
 @kernel

@@ -94,6 +94,11 @@ Rival = Annotated[
     " the agent is alone on the track, and the elements of the second car are 0. With two agents"
     " or more, the opponent replaces the last agent.",
 ]
+GivenRules = Annotated[
+    str | Path | Rules,
+    Checked(partial(_source, kind=Rules)),
+    'Rules of the race: "paper", "contest", a YAML file or a configuration.',
+]
 TimeStep = Annotated[
     float, Checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s."
 ]
@@ -103,8 +108,8 @@ Rivalry = Annotated[
 
 
 @dataclass(frozen=True, eq=False)
-class DriveOptions(EpisodeOptions):
-    """Arguments of the control-level environments."""
+class RaceOptions(EpisodeOptions):
+    """Arguments of the environments whose agents drive."""
 
     opponent: Rival = "lattice"
     opponents: Annotated[
@@ -113,11 +118,7 @@ class DriveOptions(EpisodeOptions):
         "One opponent for each other car, in place of `opponent`; planners may differ."
         " `opponent` in the infos is -1 if there are several.",
     ] = None
-    rules: Annotated[
-        str | Path | Rules,
-        Checked(partial(_source, kind=Rules)),
-        'Rules of the race: "paper", "contest", a YAML file or a configuration.',
-    ] = "paper"
+    rules: GivenRules = "paper"
     duration: Annotated[
         float | None,
         ANYTHING,
@@ -129,6 +130,30 @@ class DriveOptions(EpisodeOptions):
         Interval(ge=1, le=MAX_LAPS),
         "Length of a race in laps of the first car; by default the laps of the rules.",
     ] = None
+    start_lines: Annotated[int, ANYTHING, "Number of start lines to draw from."] = 100
+    archive: Annotated[
+        Any,
+        Checked(_archive),
+        "Archive of opponents that move between policies.",
+    ] = "default"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.opponents is not None and str(self.opponent) not in ("None", RaceOptions.opponent):
+            raise ConfigError(
+                f"opponent is {self.opponent!r}, and opponents were given, too; give one of the two"
+            )
+
+    @property
+    def cars_given(self) -> tuple[VehicleParams, ...]:
+        """Parameters of the agents' cars."""
+        return self.vehicle if isinstance(self.vehicle, tuple) else (self.vehicle,)
+
+
+@dataclass(frozen=True, eq=False)
+class DriveOptions(RaceOptions):
+    """Arguments of the control-level environments."""
+
     time_step: TimeStep = 0.1
     min_speed: Annotated[
         float,
@@ -178,19 +203,6 @@ class DriveOptions(EpisodeOptions):
     win_reward: Annotated[
         float, Interval(ge=0.0, le=1e6), "Reward of a win, and penalty of a defeat."
     ] = 0.0
-    start_lines: Annotated[int, ANYTHING, "Number of start lines to draw from."] = 100
-    archive: Annotated[
-        Any,
-        Checked(_archive),
-        "Archive of opponents that move between policies.",
-    ] = "default"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.opponents is not None and str(self.opponent) not in ("None", DriveOptions.opponent):
-            raise ConfigError(
-                f"opponent is {self.opponent!r}, and opponents were given, too; give one of the two"
-            )
 
     @property
     def ticks(self) -> int:
@@ -201,11 +213,6 @@ class DriveOptions(EpisodeOptions):
     def sees_handicap(self) -> bool:
         """Whether the own handicap is observed: where the rules give any."""
         return load_rules(self.rules).gives_handicaps
-
-    @property
-    def cars_given(self) -> tuple[VehicleParams, ...]:
-        """Parameters of the agents' cars."""
-        return self.vehicle if isinstance(self.vehicle, tuple) else (self.vehicle,)
 
     @property
     def limits(self) -> Limits:

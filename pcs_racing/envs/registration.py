@@ -8,6 +8,7 @@ import pettingzoo
 PETTINGZOO_IDS = {
     "pcs_racing/head_to_head-v1": "pcs_racing.envs.duel",
     "pcs_racing/drive_head_to_head-v0": "pcs_racing.envs.drive",
+    "pcs_racing/line_head_to_head-v0": "pcs_racing.envs.line",
 }
 """Modules with ``parallel_env`` and ``env``, by id."""
 
@@ -17,6 +18,7 @@ GYMNASIUM_IDS = {
         "pcs_racing.envs.drive:DriveEnv",
         "pcs_racing.envs.drive:DriveVectorEnv",
     ),
+    "pcs_racing/Line-v0": ("pcs_racing.envs.line:LineEnv", "pcs_racing.envs.line:LineVectorEnv"),
     "pcs_racing/Avoidance-v0": (
         "pcs_racing.envs.drive:DriveEnv",
         "pcs_racing.envs.drive:DriveVectorEnv",

@@ -20,6 +20,7 @@ from pcs_racing.envs.batch import FREE, check_part, check_weights
 from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.infos import rows_of
+from pcs_racing.envs.line import LineHeadToHeadVectorEnv, LineVectorEnv
 from pcs_racing.envs.over_batch import refuse
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.track.track import Track
@@ -37,10 +38,14 @@ KINDS: dict[str, type[Any]] = {
     "drive": DriveVectorEnv,
     "self-play": SelfPlayVectorEnv,
     "drive-self-play": DriveHeadToHeadVectorEnv,
+    "line": LineVectorEnv,
+    "line-self-play": LineHeadToHeadVectorEnv,
     "pcs_racing/Duel-v1": DuelVectorEnv,
     "pcs_racing/Drive-v1": DriveVectorEnv,
     "pcs_racing/head_to_head-v1": SelfPlayVectorEnv,
     "pcs_racing/drive_head_to_head-v0": DriveHeadToHeadVectorEnv,
+    "pcs_racing/Line-v0": LineVectorEnv,
+    "pcs_racing/line_head_to_head-v0": LineHeadToHeadVectorEnv,
 }
 """Vector environments by name."""
 
@@ -57,7 +62,8 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
         "duel" or "pcs_racing/Duel-v1"; "drive" or "pcs_racing/Drive-v1". In "self-play" or
         "pcs_racing/head_to_head-v1" both cars of ``num_envs / 2`` games belong to the learner,
         whose policy plays against itself; "drive-self-play" or
-        "pcs_racing/drive_head_to_head-v0": self-play at the control level.
+        "pcs_racing/drive_head_to_head-v0": self-play at the control level. "line" and
+        "line-self-play": the same with a choice among candidates.
     num_envs : int
         Number of environments; even for self-play.
     **arguments
@@ -325,7 +331,7 @@ class OneOfBatch:
     @property
     def action_masks(self) -> Callable[[], NDArray[np.bool_]]:
         """Method for the mask of valid moves, shape (M,)."""
-        if not isinstance(self._group, DuelVectorEnv):
+        if not hasattr(self._group, "action_masks"):
             raise AttributeError("the control level has no action masks")
         return lambda: self._group.action_masks()[self._row]
 

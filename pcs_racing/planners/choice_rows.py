@@ -1,4 +1,4 @@
-"""Rows of the scratch of ``line-ppo``, after the rows of the candidates.
+"""Features of ``line-ppo``, and their rows in its scratch, after the rows of the candidates.
 
 The numbers are offsets: ``scratch[MOVE_AIR + g]`` is a feature of the move ``g``. All features are
 of order one. *Near* is the nearness of the opponent: 1 beside the own car, 0 out of sight.
@@ -7,11 +7,83 @@ of order one. *Near* is the nearness of the opponent: 1 beside the own car, 0 ou
 from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SCRATCH, SPEEDS
 from pcs_racing.planners.planner import offsets
 
-OWN = 30  # features of the situation before the track ahead
+SITUATION_FEATURES = {
+    "own speed": "in 8 m/s",
+    "own offset": "distance from the race line, m",
+    "own slope": "change of this distance along the line, in 1/3",
+    "own yaw rate": "in 5 rad/s",
+    "own slip": "slip angle, in 1/5 rad",
+    "own steering": "steering angle, as a share of its max",
+    "plan offset": "distance of the last plan from the race line, m",
+    "plan slope": "change of this distance along the line, in 1/3",
+    "own scale": "speed scale above 1.2, in 1/3",
+    "near": "nearness of the opponent",
+    "near gap": "near times the gap, positive ahead, in 2 m",
+    "near side": "near times the opponent's distance to the left, m",
+    "near offset": "near times the opponent's distance from the race line, m",
+    "near drift": "near times the change of this distance, m/s",
+    "near speed": "near times the opponent's speed minus the own speed, in 3 m/s",
+    "near profile": "near times the opponent's share of the profile above 1, in 1/2",
+    "near bend": "near times the curvature at the opponent, in 1/2 1/m",
+    "meets": "1 if the opponent is predicted",
+    "right of way": "near, negative if the right of way is the own car's",
+    "follows": "1 if the own car keeps a distance behind the opponent",
+    "beside": "1 if the cars are side by side",
+    "attacks": "1 if the lattice would attack",
+    "deficit": "progress of the opponent minus the own progress, in 10 m",
+    "very near": "near, within 3 m",
+    "near acceleration": "near times the opponent's acceleration, in 5 m/s^2",
+    "usual profile": "usual share of the opponent of the profile above 1, in 1/4",
+    "risk": "style, from -1 to 1",
+    "assertiveness": "style, from -1 to 1",
+    "pace": "style above 1, in 1/2",
+    "pace behind": "style, in 1/4",
+}
+"""Features of the situation before the track ahead, with meaning and unit."""
+
+MOVE_FEATURES = {
+    "length": "2.5 m over its length",
+    "max curvature": "1/m",
+    "mean curvature": "in 1/2 1/m",
+    "change": "squared distance to the last plan, m^2",
+    "deviation": "mean distance from the race line, m",
+    "walls": "nearness to walls, in 1/3",
+    "abreast": "distance from the line of an opponent that closes from behind, m",
+    "missing air": "missing air to walls, in 1/3 m",
+    "end": "end, m from the race line",
+    "sideways": "end, m from the own car",
+    "side": "near times the distance of the end to the left of the opponent, m",
+    "distance": "near times the distance of the end from the opponent, m",
+    "air": "min air to a wall, in 1/2 m",
+    "gain": "share of the way that it gains on the race line, in 1/5",
+}
+"""Features of a move."""
+
+SPEED_FEATURES = {
+    "gain": "speed after 1.25 s minus the own speed, in 3 m/s",
+    "braked": "change of the speed within 0.75 s, in 3 m/s",
+    "attack": "share by which an attack drives farther",
+    "ahead": "distance beyond the profile's, in 4 m",
+    **{f"is speed {k}": f"1 for the speed {k}" for k in range(SPEEDS)},
+}
+"""Features of a speed."""
+
+PAIR_FEATURES = {
+    "bending": "max change of curvature in time, in 4 1/(m s)",
+    "aside": "lateral acceleration, in 10 m/s^2",
+    "strain": "lateral acceleration beyond the grip, m/s^2",
+    "behind": "distance behind the opponent at the end, in 5 m",
+    "nearness": "nearness to the opponent",
+    "met": "root of the cost of meeting the opponent",
+    "cost": "root of the cost above the min cost; -1 for a rejected candidate",
+}
+"""Features of a candidate."""
+
 BENDS = 8  # places ahead, with the curvature of the race line
 WIDTHS = 4  # places ahead, with the width of the track
+OWN = len(SITUATION_FEATURES)
 CONTEXT = OWN + BENDS + 2 * WIDTHS  # features of the situation
-MOVE, SPEED, PAIR = 14, 8, 7  # features of a move, of a speed and of a candidate
+MOVE, SPEED, PAIR = len(MOVE_FEATURES), len(SPEED_FEATURES), len(PAIR_FEATURES)
 FEATURES = MOVE + SPEED + PAIR
 INNER, UNITS = 48, 32  # units of the context's layer, and of the candidates' layer
 
@@ -47,72 +119,72 @@ INNER, UNITS = 48, 32  # units of the context's layer, and of the candidates' la
 )
 
 (
-    OWN_V,  # speed, in 8 m/s
-    OWN_D,  # distance from the race line, m
-    OWN_SLOPE,  # change of this distance along the line, in 1/3
-    OWN_YAW_RATE,  # in 5 rad/s
-    OWN_BETA,  # slip angle, in 1/5 rad
-    OWN_DELTA,  # steering angle, as a share of its max
-    START_D,  # distance of the last plan from the race line, m
-    START_SLOPE,  # change of this distance along the line, in 1/3
-    OWN_SCALE,  # speed scale above 1.2, in 1/3
+    OWN_V,
+    OWN_D,
+    OWN_SLOPE,
+    OWN_YAW_RATE,
+    OWN_BETA,
+    OWN_DELTA,
+    START_D,
+    START_SLOPE,
+    OWN_SCALE,
     NEAR,
-    NEAR_GAP,  # near times the gap, positive ahead, in 2 m
-    NEAR_SIDE,  # near times the opponent's distance to the left, m
-    NEAR_D,  # near times the opponent's distance from the race line, m
-    NEAR_D_DOT,  # near times the change of this distance, m/s
-    NEAR_V,  # near times the opponent's speed minus the own speed, in 3 m/s
-    NEAR_PROFILE,  # near times the opponent's share of the profile above 1, in 1/2
-    NEAR_BEND,  # near times the curvature at the opponent, in 1/2 1/m
-    MEETS,  # 1 if the opponent is predicted
-    RIGHT_OF_WAY,  # near, negative if the right of way is the own car's
-    FOLLOWS,  # 1 if the own car keeps a distance behind the opponent
-    BESIDE,  # 1 if the cars are side by side
-    ATTACKS,  # 1 if the lattice would attack
-    LEAD,  # progress of the opponent minus the own progress, in 10 m
-    VERY_NEAR,  # near, within 3 m
-    NEAR_ACCELERATION,  # near times the opponent's acceleration, in 5 m/s^2
-    USUAL,  # usual share of the opponent of the profile above 1, in 1/4
-    RISK,  # style, from -1 to 1
-    ASSERTIVENESS,  # style, from -1 to 1
-    PACE,  # style above 1, in 1/2
-    PACE_BEHIND,  # style, in 1/4
+    NEAR_GAP,
+    NEAR_SIDE,
+    NEAR_D,
+    NEAR_D_DOT,
+    NEAR_V,
+    NEAR_PROFILE,
+    NEAR_BEND,
+    MEETS,
+    RIGHT_OF_WAY,
+    FOLLOWS,
+    BESIDE,
+    ATTACKS,
+    LEAD,
+    VERY_NEAR,
+    NEAR_ACCELERATION,
+    USUAL,
+    RISK,
+    ASSERTIVENESS,
+    PACE,
+    PACE_BEHIND,
 ) = range(SITUATION, SITUATION + OWN)
 BEND = SITUATION + OWN  # curvatures ahead, in 1/2 1/m
 WIDTH_LEFT = BEND + BENDS  # widths ahead, m
 WIDTH_RIGHT = WIDTH_LEFT + WIDTHS
 
 (
-    MOVE_LENGTH,  # 2.5 m over its length
-    MOVE_MAX_KAPPA,  # max curvature, 1/m
-    MOVE_MEAN_KAPPA,  # mean curvature, in 1/2 1/m
-    MOVE_CHANGE,  # squared distance to the last plan, m^2
-    MOVE_AWAY,  # mean distance from the race line, m
-    MOVE_WALLS,  # nearness to walls, in 1/3
-    MOVE_ABREAST,  # distance from the line of an opponent that closes from behind, m
-    MOVE_CLOSE,  # missing air to walls, in 1/3 m
-    MOVE_GOAL,  # end, m from the race line
-    MOVE_SIDEWAYS,  # end, m from the own car
-    MOVE_SIDE,  # near times the distance of the end to the left of the opponent, m
-    MOVE_DISTANCE,  # near times the distance of the end from the opponent, m
-    MOVE_AIR,  # min air to a wall, in 1/2 m
-    MOVE_GAIN,  # share of the way that it gains on the race line, in 1/5
+    MOVE_LENGTH,
+    MOVE_MAX_KAPPA,
+    MOVE_MEAN_KAPPA,
+    MOVE_CHANGE,
+    MOVE_AWAY,
+    MOVE_WALLS,
+    MOVE_ABREAST,
+    MOVE_CLOSE,
+    MOVE_GOAL,
+    MOVE_SIDEWAYS,
+    MOVE_SIDE,
+    MOVE_DISTANCE,
+    MOVE_AIR,
+    MOVE_GAIN,
 ) = range(MOVES, MOVES + MOVE * GOALS, GOALS)
 
 (
-    SPEED_GAIN,  # speed after 1.25 s minus the own speed, in 3 m/s
-    SPEED_BRAKED,  # change of the speed within 0.75 s, in 3 m/s
-    SPEED_BEHIND,  # share by which an attack drives farther
-    SPEED_AHEAD,  # distance beyond the profile's, in 4 m
+    SPEED_GAIN,
+    SPEED_BRAKED,
+    SPEED_BEHIND,
+    SPEED_AHEAD,
 ) = range(SPEEDS_AT, SPEEDS_AT + 4 * SPEEDS, SPEEDS)
 SPEED_IS = SPEEDS_AT + 4 * SPEEDS  # 1 for the speed itself, in a row for each speed
 
 (
-    PAIR_KAPPA_RATE,  # max change of curvature in time, in 4 1/(m s)
-    PAIR_ASIDE,  # lateral acceleration, in 10 m/s^2
-    PAIR_STRAIN,  # lateral acceleration beyond the grip, m/s^2
-    PAIR_BEHIND,  # distance behind the opponent at the end, in 5 m
-    PAIR_NEARNESS,  # nearness to the opponent
-    PAIR_MET,  # root of the cost of meeting the opponent
-    PAIR_ABOVE,  # root of the cost above the min cost; -1 for a rejected candidate
+    PAIR_KAPPA_RATE,
+    PAIR_ASIDE,
+    PAIR_STRAIN,
+    PAIR_BEHIND,
+    PAIR_NEARNESS,
+    PAIR_MET,
+    PAIR_ABOVE,
 ) = range(PAIRS, PAIRS + PAIR * CANDIDATES, CANDIDATES)

@@ -100,6 +100,7 @@ PARAMETERS = (
 """Style of the planner."""
 RISK, ASSERTIVENESS, PACE, PACE_BEHIND = range(4)
 STYLE = len(PARAMETERS)
+DEFAULT_STYLE = tuple(one.default for one in PARAMETERS)
 SIDE_MARGINS = (0.4, 0.1)  # m, air beside the opponent at assertiveness 0 and 1
 
 LAYERS = {

@@ -15,6 +15,7 @@ from pcs_racing import load_rules, load_track, racer
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.envs import GYMNASIUM_IDS, PETTINGZOO_IDS
 from pcs_racing.envs.drive import parallel_env as drive_head_to_head_env
+from pcs_racing.envs.line import parallel_env as line_head_to_head_env
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.lattice import REFERENCE
 from pcs_racing.race.driving import advance, pad_parameters
@@ -223,12 +224,26 @@ def drive_head_to_head(name: str) -> Values:
     return out
 
 
+def line(name: str) -> Values:
+    """A second of three races, with some rejected choices."""
+    choices = ((7 * step + np.arange(3)) % 64 for step in range(10))
+    return vector_episode(name, 5, choices, style={"risk": (0.0, 1.0)})[0]
+
+
+def line_head_to_head(name: str) -> Values:
+    """A second of a race of two agents."""
+    choices = ((7 * step + np.arange(2)) % 64 for step in range(10))
+    return pair_episode(name, 5, choices, line_head_to_head_env)[0]
+
+
 _BY_NAME: dict[str, Callable[[str], Values]] = {
     "Drive": drive,
     "Avoidance": avoidance,
     "Duel": duel,
     "head_to_head": head_to_head,
     "drive_head_to_head": drive_head_to_head,
+    "Line": line,
+    "line_head_to_head": line_head_to_head,
 }
 
 

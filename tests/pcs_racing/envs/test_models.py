@@ -53,7 +53,7 @@ def test_an_action_has_the_limits_of_the_agents_car(oval, arguments, limit):
     steering = env.unwrapped.elements[1]
     assert steering.high == max(limit, 0.4189)
     policy = model_policy(lambda seen: np.ones((len(seen), 2)), name="left", like=env)
-    assert policy.planner.drive.options.limits == env.batch.rules.limits
+    assert policy.planner.drive.options.limits == env.batch.limits
     assert policy.planner.drive.options.limits.steer_max == limit
 
 
