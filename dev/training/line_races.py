@@ -22,14 +22,14 @@ from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.draws import Randomization, draw_vehicles
 from pcs_racing.envs.random_circuits import RandomCircuits, random_circuit
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.planners import candidate_rows as rows
-from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SCRATCH, SPEEDS
+from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
 from pcs_racing.planners.candidates import SIGHT
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.line_ppo import (
     ASSERTIVENESS,
     CONTEXT,
     FIRST,
+    LAID,
     LATTICE_SIZE,
     MEMORY,
     MOVE,
@@ -43,9 +43,11 @@ from pcs_racing.planners.line_ppo import (
     WEIGHTS,
     describe,
     plan_by_theta,
+    put_away,
+    put_back,
     take,
 )
-from pcs_racing.planners.planner import Parameter, Planner, Policy, offsets
+from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.calibrating import hazard_scan
 from pcs_racing.race.conditions import AS_THE_SETUP, vehicle_rows
@@ -133,34 +135,6 @@ class Options(NamedTuple):
     eager: float = PRICES[1]
     close: float = CLOSE
     contact: float = CONTACT
-
-
-# Parts of the scratch that `take` needs: moves; profiles and speed scales; predicted opponent.
-_, MOVES_END, PROFILES_END, LAID = offsets(
-    rows.KAPPA, rows.NOW_S - rows.SQUARE, SCRATCH - rows.OPP_S
-)
-
-
-@inner_kernel(forceinline=True)
-def _copy(numbers, out):
-    for k in range(len(out)):
-        out[k] = numbers[k]
-
-
-@inner_kernel
-def put_away(scratch, laid):
-    """Copy all that `take` needs from a scratch into ``laid``, shape (LAID,)."""
-    _copy(scratch, laid[:MOVES_END])
-    _copy(scratch[rows.SQUARE :], laid[MOVES_END:PROFILES_END])
-    _copy(scratch[rows.OPP_S :], laid[PROFILES_END:LAID])
-
-
-@inner_kernel
-def put_back(laid, scratch):
-    """Copy ``laid`` of `put_away` back into a scratch."""
-    _copy(laid, scratch[:MOVES_END])
-    _copy(laid[MOVES_END:], scratch[rows.SQUARE : rows.NOW_S])
-    _copy(laid[PROFILES_END:], scratch[rows.OPP_S : SCRATCH])
 
 
 @inner_kernel(forceinline=True)

@@ -107,10 +107,6 @@ KEPT = 64  # number of cached tracks without a race
 class DriveRules:
     """Everything about a batch of races that never changes."""
 
-    #: Arguments; ``vehicle`` are the agents' cars, with both ends of draws of steering and speed.
-    options: Any
-    players: int  #: Number of agents in each race; they drive the first cars.
-    cars: int  #: Number of cars in each race.
     #: Opponents of each car without an agent; one is drawn for each episode.
     rivals: "tuple[list[Opponent], ...]"
     planners: "tuple[tuple[Planner, ...], ...]"  #: Planner of each opponent in ``rivals``.
@@ -176,9 +172,6 @@ def race_rules(
         substitutes=tuple(one for several in planners for one in several[1:]),
     )
     return DriveRules(
-        options=options,
-        players=players,
-        cars=cars,
         rivals=rivals,
         planners=tuple(map(tuple, planners)),
         game=game,
@@ -532,9 +525,12 @@ class DriveBatch:
         seen = np.empty((len(rows), players, out.shape[1]), np.float32)
         for first, last in runs_of(inputs):
             part = seen[first:last].reshape(-1, out.shape[1])
-            own = inputs[first], self.races, self._eyes, rows[first:last]
-            observe_races(*own, 0, players, self._buffers[0], part)
+            self._see_run(inputs[first], rows[first:last], players, part)
         out.reshape(-1, players, out.shape[1])[rows] = seen
+
+    def _see_run(self, inputs: Any, rows: Rows, players: int, out: NDArray[np.float32]) -> None:
+        """Write the observations of races on one track as successive rows of ``out``."""
+        observe_races(inputs, self.races, self._eyes, rows, 0, players, self._buffers[0], out)
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return actions as float64 of shape (B, players, 2).

@@ -12,7 +12,6 @@ from pcs_racing.envs.batch import Rows, check_within
 from pcs_racing.envs.drive_batch import DriveBatch, DriveRules, race_rules
 from pcs_racing.envs.line_kernel import (
     EAGER,
-    LAID,
     SHY,
     Choices,
     LineBuffers,
@@ -31,6 +30,7 @@ from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.line_ppo import (
     ASSERTIVENESS,
     DEFAULT_STYLE,
+    LAID,
     MEMORY,
     PARAMETERS,
     TOTAL,
@@ -119,14 +119,8 @@ class LineBatch(DriveBatch):
             self.choices.style[row, car] = draw_style(self.styles, generator)
         self.choices.replaced[row] = False
 
-    def _see(self, rows: NDArray[np.int64], players: int, out: NDArray[np.float32]) -> None:
-        inputs = [self._inputs[row] for row in rows]
-        seen = np.empty((len(rows), players, out.shape[1]), np.float32)
-        for first, last in runs_of(inputs):
-            part = seen[first:last].reshape(-1, out.shape[1])
-            own = inputs[first], self.races, self.choices, rows[first:last]
-            observe_lines(*own, players, self._buffers[0], part)
-        out.reshape(-1, players, out.shape[1])[rows] = seen
+    def _see_run(self, inputs: Any, rows: Rows, players: int, out: NDArray[np.float32]) -> None:
+        observe_lines(inputs, self.races, self.choices, rows, players, self._buffers[0], out)
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[Any]:
         """Return choices as int64 of shape (B, players)."""

@@ -14,10 +14,9 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.numba_parts import call_with
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.envs.drive_kernel import end_race
-from pcs_racing.planners import candidate_rows as rows, choice_rows as choice
-from pcs_racing.planners.candidate_rows import CANDIDATES, SCRATCH
-from pcs_racing.planners.line_ppo import ASSERTIVENESS, RISK, describe, take
-from pcs_racing.planners.planner import offsets
+from pcs_racing.planners import choice_rows as choice
+from pcs_racing.planners.candidate_rows import CANDIDATES
+from pcs_racing.planners.line_ppo import ASSERTIVENESS, RISK, describe, put_away, put_back, take
 from pcs_racing.race.kernel import Crew, KernelSettings, Scratch, fill_view
 from pcs_racing.track.frenet import TrackArrays
 
@@ -26,11 +25,6 @@ NEAR = 0.9  # m: distance of two cars below which nearness costs
 FAR = 20.0  # m: largest lead that counts
 BOLD = 1.0 / 12.0  # price of a fault at risk 1, as a share of its price at risk 0
 SHY, EAGER = 0.25, 1.5  # prices of a gain and a win at assertiveness 0 and 1
-
-# Parts of the scratch that `take` needs: moves; profiles and speed scales; predicted opponent.
-_, _MOVES_END, _PROFILES_END, LAID = offsets(
-    rows.KAPPA, rows.NOW_S - rows.SQUARE, SCRATCH - rows.OPP_S
-)
 
 NUMBERS = choice.INNER_AT - choice.SITUATION
 """Number of features of an observation; the race's share that is left and the handicap follow."""
@@ -98,28 +92,6 @@ class LineBuffers(NamedTuple):
 _call = call_with()
 
 
-@inner_kernel(forceinline=True)
-def _copy(numbers, out):
-    for k in range(len(out)):
-        out[k] = numbers[k]
-
-
-@inner_kernel
-def _put_away(scratch, laid):
-    """Copy all that `take` needs from a scratch into ``laid``, shape (LAID,)."""
-    _copy(scratch, laid[:_MOVES_END])
-    _copy(scratch[rows.SQUARE :], laid[_MOVES_END:_PROFILES_END])
-    _copy(scratch[rows.OPP_S :], laid[_PROFILES_END:LAID])
-
-
-@inner_kernel
-def _put_back(laid, scratch):
-    """Copy ``laid`` of `_put_away` back into a scratch."""
-    _copy(laid, scratch[:_MOVES_END])
-    _copy(laid[_MOVES_END:], scratch[rows.SQUARE : rows.NOW_S])
-    _copy(laid[_PROFILES_END:], scratch[rows.OPP_S : SCRATCH])
-
-
 @kernel
 def take_choices(inputs, races, actions, choices, first, last, buffers):
     """Give the paths of the chosen candidates to the players; the best replaces a rejected one."""
@@ -132,7 +104,7 @@ def take_choices(inputs, races, actions, choices, first, last, buffers):
             if choices.replaced[race, car]:
                 chosen = choices.best[race, car]
             fill_view(track, state, race, car, vehicles[race], settings, buffers.seen)
-            _put_back(choices.laid[race, car], buffers.scratch)
+            put_back(choices.laid[race, car], buffers.scratch)
             take(
                 track,
                 sight.lattice,
@@ -160,7 +132,7 @@ def _see(inputs, races, choices, race, car, buffers, out):
     out[NUMBERS] = np.float32(1.0 - state.tick[race] / sight.end_tick)
     out[NUMBERS + 1] = np.float32(state.handicap[race, car])
     if plays:
-        _put_away(scratch, choices.laid[race, car])
+        put_away(scratch, choices.laid[race, car])
         lowest = 1e30
         for c in range(CANDIDATES):
             above = scratch[choice.PAIR_ABOVE + c]

@@ -14,11 +14,10 @@ from pcs_racing.base.errors import InputError, UnknownNameError, check_number, c
 from pcs_racing.base.settings import Checked
 from pcs_racing.base.typing import ObservationElement as Element
 from pcs_racing.envs.drive_options import GivenRules, RaceOptions, Rival
-from pcs_racing.envs.line_kernel import LIMIT, NUMBERS
+from pcs_racing.envs.line_kernel import LIMIT
 from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
 from pcs_racing.planners.choice_rows import (
     BENDS,
-    CONTEXT,
     MOVE_FEATURES,
     PAIR_FEATURES,
     SITUATION_FEATURES,
@@ -26,6 +25,7 @@ from pcs_racing.planners.choice_rows import (
     WIDTHS,
 )
 from pcs_racing.planners.line_ppo import PARAMETERS
+from pcs_racing.planners.planner import offsets
 from pcs_racing.race.state import MAX_CARS
 
 Reward = Annotated[float, Interval(ge=0.0, le=1e6)]
@@ -98,39 +98,38 @@ class Part(NamedTuple):
     items: int  #: Number of moves, speeds or candidates; 1 for the context.
 
 
-PARTS: dict[str, Part] = {}
+_CONTEXT = {
+    **SITUATION_FEATURES,
+    **{f"bend {k}": "curvature of the race line ahead, in 1/2 1/m" for k in range(BENDS)},
+    **{
+        f"{side} {k}": "free width of the track ahead, m"
+        for side in ("left", "right")
+        for k in range(WIDTHS)
+    },
+}
+_TABLES = {
+    "context": (_CONTEXT, 1),
+    "moves": (MOVE_FEATURES, GOALS),
+    "speeds": (SPEED_FEATURES, SPEEDS),
+    "candidates": (PAIR_FEATURES, CANDIDATES),
+}
+_FIRST = offsets(*(len(features) * items for features, items in _TABLES.values()))
+PARTS = {
+    name: Part(first, len(features), items)
+    for first, (name, (features, items)) in zip(_FIRST, _TABLES.items(), strict=False)
+}
 """Parts of an observation by name: context, moves, speeds, candidates; two numbers follow."""
 
-_TABLES = (
-    ("context", None, 1),
-    ("moves", MOVE_FEATURES, GOALS),
-    ("speeds", SPEED_FEATURES, SPEEDS),
-    ("candidates", PAIR_FEATURES, CANDIDATES),
-)
-
-
-def _elements() -> list[Element]:
-    """Return each element of an observation, in order, and fill `PARTS`."""
-    texts = dict(SITUATION_FEATURES)
-    texts |= {f"bend {k}": "curvature of the race line ahead, in 1/2 1/m" for k in range(BENDS)}
-    for side in ("left", "right"):
-        texts |= {f"{side} {k}": "free width of the track ahead, m" for k in range(WIDTHS)}
-    elements: list[Element] = []
-    for name, features, items in _TABLES:
-        own = texts if features is None else features
-        PARTS[name] = Part(len(elements), len(own), items)
-        for key, text in own.items():
-            for k in range(items):
-                label = key if features is None else f"{name[:-1]} {k} {key}"
-                elements.append(Element(label, "1", -LIMIT, LIMIT, text))
-    left = "share of the race's duration that is left"
-    lacks = "share of the commanded speed that the car lacks"
-    elements.append(Element("time left", "1", 0.0, 1.0, left))
-    return [*elements, Element("handicap", "1", 0.0, 1.0, lacks)]
-
-
-LINE_ELEMENTS = _elements()
-assert (PARTS["context"].features, len(LINE_ELEMENTS)) == (CONTEXT, NUMBERS + 2)
+LINE_ELEMENTS = [
+    Element(key if items == 1 else f"{name[:-1]} {k} {key}", "1", -LIMIT, LIMIT, text)
+    for name, (features, items) in _TABLES.items()
+    for key, text in features.items()
+    for k in range(items)
+]
+LINE_ELEMENTS += [
+    Element("time left", "1", 0.0, 1.0, "share of the race's duration that is left"),
+    Element("handicap", "1", 0.0, 1.0, "share of the commanded speed that the car lacks"),
+]
 
 
 def split_observation(observations: Any) -> dict[str, Any]:

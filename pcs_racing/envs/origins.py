@@ -43,7 +43,7 @@ def read_origin(text: str, owner: str) -> dict[str, Any]:
 
 def check_origin(values: Any, owner: str) -> dict[str, Any]:
     """Return an origin; refuse other values."""
-    if not isinstance(values, dict) or values.get("environment") not in ("drive", "duel", "line"):
+    if not isinstance(values, dict) or values.get("environment") not in ("drive", "duel"):
         raise InputError(
             f"{owner}: the environment of its training is {values!r:.80}; it must be drive or duel,"
             " with arguments"

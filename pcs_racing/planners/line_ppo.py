@@ -41,7 +41,7 @@ from pcs_racing.planners import (
     choice_rows as choice,
     view as _view,
 )
-from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
+from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SCRATCH, SPEEDS
 from pcs_racing.planners.candidates import SIGHT
 from pcs_racing.planners.choice_rows import (
     BENDS,
@@ -138,6 +138,11 @@ RECENT = 0.05  # weight of the last plan in the usual speed
 TOTAL = choice.STYLED + len(LATTICE.parameters)
 """Size of the scratch."""
 FIRST = choice.SITUATION  # place of the features of the situation, before all others
+
+# Parts of the scratch that `take` needs: moves; profiles and speed scales; predicted opponent.
+_, _MOVES_END, _PROFILES_END, LAID = offsets(
+    rows.KAPPA, rows.NOW_S - rows.SQUARE, SCRATCH - rows.OPP_S
+)
 
 
 @inner_kernel(forceinline=True)
@@ -354,6 +359,22 @@ def describe(track, lattice, style, view, memory, scratch):
     best = _meet_all(theta, laid, scratch)
     _describe_situation(track, style, view, memory, laid, now.attacks, scratch)
     _describe_candidates(theta, view, laid.now, best, scratch)
+
+
+@inner_kernel
+def put_away(scratch, laid):
+    """Copy all that `take` needs from a scratch into ``laid``, shape (LAID,)."""
+    _copy(scratch, laid[:_MOVES_END])
+    _copy(scratch[rows.SQUARE :], laid[_MOVES_END:_PROFILES_END])
+    _copy(scratch[rows.OPP_S :], laid[_PROFILES_END:LAID])
+
+
+@inner_kernel
+def put_back(laid, scratch):
+    """Copy ``laid`` of `put_away` back into a scratch."""
+    _copy(laid, scratch[:_MOVES_END])
+    _copy(laid[_MOVES_END:], scratch[rows.SQUARE : rows.NOW_S])
+    _copy(laid[_PROFILES_END:], scratch[rows.OPP_S : SCRATCH])
 
 
 @inner_kernel
