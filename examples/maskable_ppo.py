@@ -25,9 +25,7 @@ try:
 
     from pcs_racing.envs import make_sb3_vec_env
 except ModuleNotFoundError as error:
-    raise SystemExit(
-        f'this example needs {error.name}: pip install ".[learning]" sb3-contrib'
-    ) from None
+    raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
 OUT = Path("out/maskable_ppo")
 WORLD = {"archive": "contest", "rules": "contest"}

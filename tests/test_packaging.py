@@ -109,12 +109,13 @@ NEEDS = {
 
 
 # Which library an example misses first, and the extra to install.
-LEARNING = "cleanrl_loop cleanrl_self_play self_play_ppo drive_self_play league_ppo"
 EXAMPLES = {
-    **dict.fromkeys(LEARNING.split(), ("torch", '".[learning]"')),
+    "self_play_ppo": ("torch", '".[learning]"'),
+    "train_lidar_ppo": ("torch", '".[learning,plots]"'),
     "clients/openspiel_tree": ("pyspiel", "open_spiel"),
-    "maskable_ppo": ("torch", '".[learning]" sb3-contrib'),
+    "maskable_ppo": ("torch", '".[learning]"'),
     "play_a_race": ("pygame", '".[window]"'),
+    "train_line_ppo": ("torch", '".[learning,plots]"'),
     "train_ppo": ("torch", '".[learning,plots]"'),
 }
 

@@ -1,19 +1,16 @@
 """Steps of PPO of Stable-Baselines3 a second of processor time, learning included: default settings
 against large batches.
 
-    python dev/benchmarks/sb3_speed.py [--steps 262144] [--league] [--learn 60]
+    python dev/benchmarks/sb3_speed.py [--steps 262144] [--learn 60]
 
 ``Drive`` with 41 numbers against ``lattice``, two layers of 64 for actor and critic, torch and
 races with one thread. All settings run in turns, and the best round of each counts; the default
-settings train for an eighth of the steps. ``--league`` measures the large batches against planners,
-with one thread and with all, and against the same planners and eight frozen copies. ``--learn``
-trains with each of the settings for this processor time (s), and prints what the policy is worth
-then.
+settings train for an eighth of the steps. ``--learn`` trains with each of the settings for this
+processor time (s), and prints what the policy is worth then.
 """
 
 import argparse
 import time
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import gymnasium as gym
@@ -25,7 +22,6 @@ import pcs_racing  # noqa: F401  (registers)
 from pcs_racing.envs import DriveVectorEnv
 from pcs_racing.envs.infos import Result
 from pcs_racing.envs.sb3 import make_sb3_vec_env
-from pcs_racing_agents.learning.league import League, make_league
 
 ROUNDS = 3
 TASK = {"opponent": "lattice"}
@@ -40,7 +36,6 @@ SETTINGS: dict[str, tuple[int, dict[str, Any]]] = {
     f"{LARGE}, ReLU": (512, _LARGE | {"policy_kwargs": {"activation_fn": torch.nn.ReLU}}),
 }
 """Number of environments (0 for ``gym.make``), and settings of PPO."""
-PLANNERS = ["gap-follower:top_speed=4", "pure-pursuit:pace=0", "lattice:pace=0"]
 FORWARD_FLOP = 2 * 2 * (41 * 64 + 64 * 64 + 64 * 2)
 """Operations of a step forward through both networks; backward takes twice as many."""
 
@@ -86,26 +81,6 @@ def steps_per_second(
     return model.num_timesteps / (time.process_time() - begun)
 
 
-def league_speeds(steps: int) -> dict[str, float]:
-    """Return the steps a second of the large batches against planners and frozen copies."""
-    planners = make_league(PLANNERS)
-    copied = planners
-    with TemporaryDirectory() as folder:
-        for _ in range(8):
-            copied = copied.with_copy(make_model(LARGE, TASK), folder)
-    cases: dict[str, tuple[League, int | None]] = {
-        "planners, one thread": (planners, 1),
-        "planners, all threads": (planners, None),
-        "planners and eight copies, one thread": (copied, 1),
-    }
-    best = dict.fromkeys(cases, 0.0)
-    for _ in range(ROUNDS):
-        for name, (league, threads) in cases.items():
-            task = {"opponent": league.opponents()}
-            best[name] = max(best[name], steps_per_second(LARGE, steps, task, threads))
-    return best
-
-
 def arithmetic_limit(epochs: int) -> float:
     """Return the steps a second that the products of the networks alone would allow.
 
@@ -124,7 +99,6 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--steps", type=int, default=262_144, help="steps of each training")
-    parser.add_argument("--league", action="store_true", help="measure opponents of a league")
     parser.add_argument("--learn", type=float, default=0.0, help="processor time of a lesson, s")
     given = parser.parse_args()
     torch.set_num_threads(1)
@@ -133,10 +107,6 @@ def main() -> None:
     if given.learn > 0.0:
         for name in SETTINGS:
             print(f"{name:50} {learn(name, given.learn)}", flush=True)
-        return
-    if given.league:
-        for name, rate in league_speeds(given.steps).items():
-            print(f"{name:50} {rate:8.0f}")
         return
     best = dict.fromkeys(SETTINGS, 0.0)
     for _ in range(ROUNDS):

@@ -21,7 +21,7 @@ MARKS = {
     "benchmarks": ("dev/benchmarks/", "test_benchmarks.py"),
     "browser": ("pcs_racing/race/", "pcs_racing_agents/watch/", "pcs_racing_agents/study/"),
     "cluster": ("pcs_racing_agents/base/",),
-    "training": ("dev/training/", "pcs_racing/race/", "pcs_racing/planners/"),
+    "training": ("examples/", "pcs_racing_agents/learning/", "pcs_racing/envs/"),
 }
 """Marks of tests that start many programs, and the places whose changes these tests are for."""
 

@@ -21,7 +21,10 @@ from .line import (
 )
 from .line_options import split_observation as split_observation
 from .obstacles import Obstacles as Obstacles
-from .random_circuits import RandomCircuits as RandomCircuits
+from .random_circuits import (
+    RandomCircuits as RandomCircuits,
+    random_circuit as random_circuit,
+)
 from .registration import (
     GYMNASIUM_IDS as GYMNASIUM_IDS,
     PETTINGZOO_IDS as PETTINGZOO_IDS,
@@ -55,6 +58,7 @@ __all__ = [
     "duel",
     "line",
     "make_sb3_vec_env",
+    "random_circuit",
     "register_environments",
     "split_observation",
 ]

@@ -18,6 +18,15 @@ from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 
 
+def make_batch(episodes: int, options: DriveOptions, **given: Any) -> DriveBatch:
+    """Return the batch of the actions that the options name."""
+    if options.action == "command":
+        return DriveBatch(episodes, options, **given)
+    from pcs_racing.envs.arc_batch import ArcBatch  # with code that others do not need
+
+    return ArcBatch(episodes, options, **given)
+
+
 class DriveEnv(ScalarEnv):
     """Control of one car against motion planners, or alone on the track.
 
@@ -42,6 +51,10 @@ class DriveEnv(ScalarEnv):
     of 0.1 s, within the limits of engine and brakes. Braking beyond about 6 m/s^2 unloads the rear
     axle, and the car spins.
 
+    With ``action="arc"`` the car follows an arc for 0.1 s. The first number is its curvature, as a
+    share of ``1.3 / (1 + (v / 4)**2)`` 1/m at the speed ``v`` in m/s, the second one a change of
+    the speed, m/s.
+
     ## Observation Space
 
     A flat ``Box`` of float32. ``env.unwrapped.elements`` is the table of its elements: name, unit,
@@ -49,6 +62,10 @@ class DriveEnv(ScalarEnv):
     are mapped to -1 and 1. The default has 41 elements: 8 of the own car, 4 of the race line at
     each of the 6 distances of ``look_ahead``, and 9 of the opponent. Each lidar beam adds one, up
     to ``max_range``.
+
+    With ``observation="sectors"`` there are 230 elements of order one: the nearest range in each of
+    75 sectors of a lidar, as a root, its changes in 0.1 and 0.2 s, and five numbers of the own
+    motion. No map is needed. The planner ``lidar-ppo`` has these observations and arcs.
 
     The numbers are measurements of the car: its parameters (`vehicle`) may give its localization
     and its lidar errors, and let it see opponents late, or not for a while.
@@ -135,7 +152,7 @@ class DriveEnv(ScalarEnv):
     (149,)
     """
 
-    batch_type = DriveBatch
+    batch_type = staticmethod(make_batch)
     options_type = DriveOptions
 
 
@@ -154,7 +171,7 @@ class DriveVectorEnv(BatchVectorEnv):
     (16, 41)
     """
 
-    batch_type = DriveBatch
+    batch_type = staticmethod(make_batch)
     options_type = DriveOptions
 
 
@@ -254,7 +271,7 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     """
 
     metadata: dict[str, Any] = ParallelBatchEnv.metadata | {"name": "drive_head_to_head_v0"}
-    batch_type = DriveBatch
+    batch_type = staticmethod(make_batch)
     batch: DriveBatch
     options_type = HeadToHeadOptions
 
@@ -280,7 +297,7 @@ class DriveHeadToHeadVectorEnv(BatchVectorEnv):
     (16, 41)
     """
 
-    batch_type = DriveBatch
+    batch_type = staticmethod(make_batch)
     options_type = HeadToHeadOptions
     players = 2
 

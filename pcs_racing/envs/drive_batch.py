@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.compilation import first_call
-from pcs_racing.base.errors import InputError, all_finite
+from pcs_racing.base.errors import InputError, all_finite, check_whole
 from pcs_racing.base.numba_parts import compiled_address, compiled_for
 from pcs_racing.car.vehicle import half_sizes
 from pcs_racing.envs.batch import (
@@ -204,6 +204,8 @@ class DriveBatch:
 
     reset_options: tuple[str, ...] = ("start", "poses", "obstacles")  #: Options of :meth:`restart`.
     step_kernel: ClassVar[Any] = step_races
+    observe_kernel: ClassVar[Any] = observe_races
+    driver: "ClassVar[Planner | None]" = None  #: Planner of the agents' cars, unless they steer.
     action_dtype: ClassVar[Any] = np.float64
     noun: ClassVar[str] = "the control-level environment"
     options: Any  #: Arguments of the environment.
@@ -254,7 +256,7 @@ class DriveBatch:
         """Return the rules; set the elements, the observation and the reward."""
         arguments = drive_arguments(options, self.cars)
         like = {"environment": "drive", **arguments}
-        rules = race_rules(options, self.players, self.randomization, like=like)
+        rules = race_rules(options, self.players, self.randomization, self.driver, like)
         self._arguments, self.limits = arguments, options.limits
         self.elements = drive_elements(options, self.cars)
         # `ahead` depends on the track.
@@ -375,7 +377,7 @@ class DriveBatch:
         """Compile the observation."""
         inputs, buffers, seen = self._inputs[0], self._buffers[0], self._results().observations
         self._observe = compiled_address(
-            observe_races, inputs, self.races, self._eyes, self._rows, 0, 0, buffers, seen
+            self.observe_kernel, inputs, self.races, self._eyes, self._rows, 0, 0, buffers, seen
         )
 
     def _equip(self, rows: Rows) -> None:
@@ -475,6 +477,19 @@ class DriveBatch:
             self._inputs[row] = inputs._replace(track=arrays) if own else inputs
             self._uniform &= not own
 
+    def set_opponent(self, index: int, policy: Any) -> None:
+        """Replace one of the opponents by another policy of its planner."""
+        from pcs_racing.planners.racers import policy_racer
+
+        check_whole("index", index, 0, len(self.opponents) - 1)
+        old, new = self.opponents[index], policy_racer(policy)
+        if new.planner is not old.planner:
+            raise InputError(
+                f"opponent {index} is {new.name!r}, a policy of {new.planner.name!r}; only another"
+                f" policy of {old.name!r}'s planner can replace it"
+            )
+        self.opponents[index] = replace(old, policies=(new,))
+
     def _draw_opponent(self, row: int, generator: np.random.Generator) -> None:
         # Equal weights draw a whole number, others a share; the draw is part of a seed's meaning.
         if (self.weights == self.weights[0]).all():
@@ -530,7 +545,8 @@ class DriveBatch:
 
     def _see_run(self, inputs: Any, rows: Rows, players: int, out: NDArray[np.float32]) -> None:
         """Write the observations of races on one track as successive rows of ``out``."""
-        observe_races(inputs, self.races, self._eyes, rows, 0, players, self._buffers[0], out)
+        own = inputs, self.races, self._eyes, rows, 0, players, self._buffers[0], out
+        type(self).observe_kernel(*own)
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return actions as float64 of shape (B, players, 2).

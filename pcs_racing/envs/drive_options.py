@@ -19,7 +19,7 @@ from pcs_racing.car.lidar_kernel import FIELD_OF_VIEW, MAX_BEAMS, MAX_RANGE, Bea
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.envs.drive_kernel import Limits, Sight
 from pcs_racing.envs.randomization import EpisodeOptions
-from pcs_racing.race.config import DT, MAX_LAPS, Rules, load_rules
+from pcs_racing.race.config import DT, MAX_LAPS, PLAN_EVERY, Rules, load_rules
 from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.track import Track
 
@@ -31,6 +31,8 @@ SEE_OPPONENT = ("never", "in sight", "always")
 
 
 KEPT = (
+    "action",
+    "observation",
     "time_step",
     "min_speed",
     "top_speed",
@@ -90,9 +92,8 @@ Rival = Annotated[
     " an agent of the game of moves (:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an"
     ' object, such as "cfr-argmax": it changes its policy of the archive every 8 s. Of a list of'
     " opponents or (weight, opponent) pairs, one is drawn for each episode; planners may differ."
-    " A :class:`pcs_racing_agents.learning.league.League` is such a list. None for no opponent:"
-    " the agent is alone on the track, and the elements of the second car are 0. With two agents"
-    " or more, the opponent replaces the last agent.",
+    " None for no opponent: the agent is alone on the track, and the elements of the second car are"
+    " 0. With two agents or more, the opponent replaces the last agent.",
 ]
 GivenRules = Annotated[
     str | Path | Rules,
@@ -155,6 +156,19 @@ class DriveOptions(RaceOptions):
     """Arguments of the control-level environments."""
 
     time_step: TimeStep = 0.1
+    action: Annotated[
+        str,
+        OneOf(("command", "arc")),
+        'Action: "command", a steering angle and a speed; or "arc", the curvature of the arc that'
+        " the car follows for 0.1 s, as a share of the largest at its speed, and a change of its"
+        " speed, as a share of 1 m/s.",
+    ] = "command"
+    observation: Annotated[
+        str,
+        OneOf(("map", "sectors")),
+        'Observation: "map", as the arguments below say; or "sectors", for arcs: 75 sectors of a'
+        " lidar and their changes, and the own motion, as ``lidar-ppo`` sees them.",
+    ] = "map"
     min_speed: Annotated[
         float,
         Interval(ge=F1TENTH.v_min, le=0.0),
@@ -204,6 +218,20 @@ class DriveOptions(RaceOptions):
         float, Interval(ge=0.0, le=1e6), "Reward of a win, and penalty of a defeat."
     ] = 0.0
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        arcs, sectors = self.action == "arc", self.observation == "sectors"
+        if arcs != sectors:
+            raise ConfigError(
+                f"action is {self.action!r} and observation {self.observation!r}; 'arc' and"
+                " 'sectors' belong together"
+            )
+        if arcs and (self.ticks != PLAN_EVERY or not self.normalized or self.beams > 0):
+            raise ConfigError(
+                f"time_step is {self.time_step:g}, normalized {self.normalized} and beams"
+                f" {self.beams}; with arcs they are 0.1, True and 0"
+            )
+
     @property
     def ticks(self) -> int:
         """Simulation steps of 0.01 s in a step of the environment."""
@@ -247,6 +275,10 @@ def drive_arguments(options: DriveOptions, cars: int) -> dict[str, Any]:
 
 def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
     """Return each element of the observation, in order; values are clipped to the bounds."""
+    if options.observation == "sectors":
+        from pcs_racing.envs.sector_elements import SECTOR_ELEMENTS
+
+        return SECTOR_ELEMENTS
     vehicles = options.cars_given
     pi = float(np.pi)
     top = max(F1TENTH.v_max, *(car.v_max for car in vehicles))

@@ -80,7 +80,11 @@ class LineBatch(DriveBatch):
             for end in ("low", "high")
         )
         seen, acts = spaces.Box(low, high, dtype=np.float32), spaces.Discrete(CANDIDATES)
-        return mark(seen, "line", {}), mark(acts, "line", {})
+        # A model races in the default style, as far as it was among those of the training.
+        style = np.clip(DEFAULT_STYLE, *self.styles.T)
+        names = (one.name for one in PARAMETERS)
+        about = {"style": dict(zip(names, style.tolist(), strict=True))}
+        return mark(seen, "line", about), mark(acts, "line", about)
 
     def _make_inputs(self, track: Track, settings: KernelSettings) -> LineInputs:
         return LineInputs(track.arrays, settings, self.sight)

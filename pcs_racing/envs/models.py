@@ -36,6 +36,8 @@ from pcs_racing.envs.drive_options import (
 )
 from pcs_racing.envs.origins import check_origin, origin_text, read_origin
 from pcs_racing.game.players import model_agent
+from pcs_racing.planners.field.lidar_ppo import arc_policy
+from pcs_racing.planners.line_ppo import network_policy
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.racers import Racer, Reader, Request, own_name
 from pcs_racing.planners.shipped import split_options
@@ -296,6 +298,9 @@ def read_model(request: Request) -> Racer | None:
     if hasattr(given, "predict"):
         origin = origin_of(given, name, None)
         shape = getattr(getattr(given, "action_space", None), "shape", None)
+        if origin is not None and origin["environment"] == "line":
+            scores = getattr(getattr(given, "policy", None), "action_net", None)
+            return line_policy(name, getattr(scores, "tensors", dict)(), origin)
         drives = shape == (2,) if origin is None else origin["environment"] == "drive"
         if not drives:
             return model_agent(given, name, origin and origin.get("game"), request.asked_game)
@@ -321,6 +326,14 @@ def policy_of(model: Any, name: str, options: DriveOptions, cars: int) -> Policy
 
     Observations and actions of the model must fit these arguments.
     """
+    if options.action == "arc":
+        if getattr(model, "scale", None) is not None or not hasattr(model, "layers"):
+            raise InputError(
+                f"model {name!r} has actions of arcs; by them only an MlpPolicy of"
+                " Stable-Baselines3 without VecNormalize races"
+            )
+        tanh = model.activation == "Tanh"
+        return arc_policy(model.layers, tanh=tanh, squash=model.squash, name=name)
     count = len(drive_elements(options, cars))
     for space, wanted in (("observation_space", (count,)), ("action_space", (2,))):
         shape = getattr(getattr(model, space, None), "shape", None)
@@ -332,6 +345,16 @@ def policy_of(model: Any, name: str, options: DriveOptions, cars: int) -> Policy
             )
     driver: Any = ModelDriver(name, model, options, cars)
     return Policy(ModelPlanner(name, (), drive=driver), np.empty(0), name)
+
+
+def line_policy(name: str, tensors: Mapping[str, Any], origin: Mapping[str, Any]) -> Policy:
+    """Return the policy of a model of `Line`, which must score the candidates alike."""
+    if not tensors:
+        raise InputError(
+            f"{name} was trained in line with another policy than CandidatePolicy or"
+            " MaskableCandidatePolicy; only these race outside of it"
+        )
+    return network_policy(tensors, name=name, style=origin.get("style"))
 
 
 def _changes(layer: Any) -> bool:

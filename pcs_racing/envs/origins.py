@@ -43,9 +43,9 @@ def read_origin(text: str, owner: str) -> dict[str, Any]:
 
 def check_origin(values: Any, owner: str) -> dict[str, Any]:
     """Return an origin; refuse other values."""
-    if not isinstance(values, dict) or values.get("environment") not in ("drive", "duel"):
+    if not isinstance(values, dict) or values.get("environment") not in ("drive", "duel", "line"):
         raise InputError(
-            f"{owner}: the environment of its training is {values!r:.80}; it must be drive or duel,"
-            " with arguments"
+            f"{owner}: the environment of its training is {values!r:.80}; it must be drive, duel or"
+            " line, with arguments"
         )
     return values

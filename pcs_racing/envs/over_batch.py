@@ -2,7 +2,7 @@
 
 import copy
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from operator import attrgetter
@@ -39,7 +39,7 @@ METADATA = {"render_modes": list(MODES), "render_fps": 1}
 class OverBatch:
     """Base class of environments over a batch: configuration, rewards, copies, and frames."""
 
-    batch_type: ClassVar[type[Any]]
+    batch_type: ClassVar[Callable[..., Any]]  #: Class of the batch, or function that chooses it.
     options_type: ClassVar[type[EpisodeOptions]]
     players: int = 1  #: Number of environments of an episode: 2 for both cars of a race.
     batch: Any
@@ -134,6 +134,18 @@ class OverBatch:
         Running episodes keep their opponents.
         """
         self.batch.weights = check_weights(weights, self.batch.weights)
+
+    def set_opponent(self, index: int, policy: Any) -> None:
+        """Replace an opponent of a list in `Drive` or `Line`, for the episodes that begin from now
+        on.
+
+        The policy has the same planner, as a frozen copy of a network
+        (:func:`pcs_racing.planners.line_ppo.network_policy`) and a later one have. States do not
+        hold it.
+        """
+        if not hasattr(self.batch, "set_opponent"):
+            raise InputError("an opponent can be replaced in Drive and Line alone")
+        self.batch.set_opponent(index, policy)
 
     def _step_batch(
         self, actions: NDArray[Any], generators: Generators, running: NDArray[np.bool_]

@@ -220,6 +220,11 @@ class SB3VecEnv(VecEnv):
         for group, own in zip(self.groups, checked, strict=True):
             group.batch.weights = own
 
+    def set_opponent(self, index: int, policy: Any) -> None:
+        """Replace an opponent in all batches; see :meth:`DriveVectorEnv.set_opponent`."""
+        for group in self.groups:
+            group.set_opponent(index, policy)
+
     def _step_groups(self, actions: Sequence[NDArray[Any]]) -> list[Any]:
         if self._pool is None:
             return [group.step(own) for group, own in zip(self.groups, actions, strict=True)]

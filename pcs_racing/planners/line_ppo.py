@@ -55,7 +55,7 @@ from pcs_racing.planners.choice_rows import (
 )
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.line import sample_at
-from pcs_racing.planners.planner import Parameter, Planner, offsets
+from pcs_racing.planners.planner import Parameter, Planner, Policy, offsets
 from pcs_racing.planners.trained import PLANNER_FORMAT
 from pcs_racing.track import frenet as _frenet
 
@@ -501,6 +501,56 @@ def flat_weights(tensors: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
     return flat_layers(layers).astype(np.float64)
 
 
+def tensors_of(numbers: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Return the tensors of a network's numbers, shape (WEIGHTS,); see `flat_weights`."""
+    tensors = {}
+    for (name, (outputs, inputs)), first in zip(LAYERS.items(), AT, strict=False):
+        part = numbers[first : first + outputs * (inputs + 1)].copy()
+        tensors[f"{name}.bias"] = part[:outputs]
+        tensors[f"{name}.weight"] = part[outputs:].reshape(inputs, outputs).T.copy()
+    return tensors
+
+
+@cache
+def _numbered() -> Planner:
+    """Return the planner of all networks: the style, then numbers of the lattice and the layers."""
+    numbers = tuple(
+        Parameter(f"number {k}", -1e3, 1e3, 0.0, "parameter of the lattice, or weight of a network")
+        for k in range(LATTICE_SIZE + WEIGHTS)
+    )
+    return Planner(
+        name="line-network",
+        parameters=PARAMETERS + numbers,
+        plan=plan_by_theta,
+        memory_size=MEMORY,
+        scratch_size=TOTAL,
+        sight=SIGHT,
+    )
+
+
+def network_policy(
+    tensors: Mapping[str, NDArray[Any]],
+    *,
+    name: str = "line-network",
+    style: Mapping[str, float] | None = None,
+) -> Policy:
+    """Return the policy of a network, for the lattice's default parameters.
+
+    All networks share one planner, whose parameters are their numbers. So nothing is compiled for a
+    network that changes, such as a frozen copy of a network that learns.
+
+    Parameters
+    ----------
+    tensors : mapping of ndarray
+        As in `save_line_planner`.
+    style : mapping of float
+        Parameters of ``line-ppo`` that differ from their defaults.
+    """
+    chosen = Planner(NAME, PARAMETERS).policy(dict(style or {})).parameters
+    numbers = [chosen, LATTICE.policy().parameters, flat_weights(check_tensors(name, tensors))]
+    return _numbered().policy(np.concatenate(numbers), name)
+
+
 def save_line_planner(
     folder: str | Path,
     tensors: Mapping[str, NDArray[Any]],
@@ -521,7 +571,7 @@ def save_line_planner(
         Description of the training: texts and numbers by name.
     """
     content = save_tensors({k: np.ascontiguousarray(v, np.float32) for k, v in tensors.items()})
-    _checked_tensors(Path(folder), content)
+    _read_tensors(Path(folder), content)
     values = LATTICE.policy(dict(lattice or {}), name).parameters  # checks them
     fields = {
         "name": name,
@@ -531,20 +581,24 @@ def save_line_planner(
     return LINE_FORMAT.save(folder, fields, content)
 
 
-def _checked_tensors(folder: Path, content: bytes) -> dict[str, NDArray[Any]]:
-    file = folder / LINE_FORMAT.data_file
-    tensors = tensors_from_bytes(file, content)
+def check_tensors(owner: Any, tensors: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
+    """Return the tensors of a line planner; refuse others."""
     shapes = {f"{layer}.weight": shape for layer, shape in LAYERS.items()}
     shapes |= {f"{layer}.bias": shape[:1] for layer, shape in LAYERS.items()}  # type: ignore[misc]
     for key in sorted(shapes.keys() | tensors.keys()):
         found = tensors[key].shape if key in tensors else None
         if found != shapes.get(key):
             raise InputError(
-                f"{file}: {key} has shape {found}; a line planner has {shapes.get(key)}"
+                f"{owner}: {key} has shape {found}; a line planner has {shapes.get(key)}"
             )
         if not (np.abs(tensors[key]) <= MAX_WEIGHT).all():
-            raise InputError(f"{file}: {key} must be numbers within {MAX_WEIGHT:g}")
+            raise InputError(f"{owner}: {key} must be numbers within {MAX_WEIGHT:g}")
     return tensors
+
+
+def _read_tensors(folder: Path, content: bytes) -> Mapping[str, NDArray[Any]]:
+    file = folder / LINE_FORMAT.data_file
+    return check_tensors(file, tensors_from_bytes(file, content))
 
 
 def read_line_planner(source: str | Path = NAME) -> tuple[dict[str, Any], NDArray[np.float64]]:
@@ -560,7 +614,7 @@ def read_line_planner(source: str | Path = NAME) -> tuple[dict[str, Any], NDArra
     if not isinstance(values, dict) or not all(map(is_number, values.values())):
         raise InputError(f"{folder}: lattice must map parameters of the lattice to numbers")
     lattice = LATTICE.policy(values, fields["name"]).parameters
-    return fields, np.concatenate([lattice, flat_weights(_checked_tensors(folder, content))])
+    return fields, np.concatenate([lattice, flat_weights(_read_tensors(folder, content))])
 
 
 def load_line_planner(source: str | Path = NAME) -> Planner:

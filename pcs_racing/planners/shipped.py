@@ -12,7 +12,6 @@ from typing import Any
 from pcs_racing.base.errors import InputError
 
 SHIPPED = {
-    "alpha-racer": "pcs_racing.planners.field.alpha_racer:ALPHA_RACER",
     "bimatrix-game": "pcs_racing.planners.field.bimatrix:BIMATRIX",
     "disparity-extender": "pcs_racing.planners.field.disparity_extender:DISPARITY_EXTENDER",
     "follow-the-gap": "pcs_racing.planners.field.follow_the_gap:FOLLOW_THE_GAP",

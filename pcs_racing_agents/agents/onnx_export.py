@@ -195,6 +195,10 @@ def _exported(model: Any) -> OnnxNetwork:
         plain = _plain(model, type(model).__name__)
         with suppress(AttributeError):  # a model without environment, or of another one
             (elements,) = model.get_env().get_attr("elements", [0])
+    if isinstance(plain, Policy):
+        raise InputError(
+            f"{plain.name} scores the lattice's candidates, which no ONNX file would lay"
+        )
     game = (origin or {}).get("game")
     return _moves(plain, elements, game) if plain.moves else _exported(policy_racer(model))
 

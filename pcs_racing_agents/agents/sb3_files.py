@@ -23,13 +23,16 @@ from numpy.typing import NDArray
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.files import parse_json, read_limited, write_atomically
-from pcs_racing.envs.models import model_policy, needs_like, origin_of
+from pcs_racing.envs.models import line_policy, model_policy, needs_like, origin_of
 from pcs_racing.envs.origins import ATTRIBUTE, read_origin
 from pcs_racing.game.players import model_agent
+from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import Racer, Reader, Request, own_name
 
 MAX_BYTES = 50_000_000
 ACTIVATIONS = ("Tanh", "ReLU")
+CANDIDATES = "pcs_racing_agents.learning.candidates"
+"""Module of the policy classes that score the candidates of `Line`."""
 _TORCH = "torch.nn.modules.activation"
 _FLATTEN = "<class 'stable_baselines3.common.torch_layers.FlattenExtractor'>"
 SCALE_FILE = "pcs_racing_scale.json"
@@ -123,11 +126,11 @@ class Sb3Policy:
         return (np.argmax(out, axis=-1) if self.moves else out), None
 
 
-def read_zip(path: Path) -> tuple[Sb3Policy, dict[str, Any] | None]:
+def read_zip(path: Path) -> tuple[Sb3Policy | Policy, dict[str, Any] | None]:
     """Return the policy in a file written by ``model.save(path)``, and its training's environment.
 
     The model is PPO, A2C, DQN, MaskablePPO, SAC, TD3 or DDPG with an MlpPolicy. The environment is
-    None if its spaces do not name it.
+    None if its spaces do not name it. A model with a CandidatePolicy is a policy of a planner.
     """
     # The file is read before the import of torch, which takes seconds.
     content = read_limited(path, MAX_BYTES, "a policy", InputError)
@@ -154,7 +157,16 @@ def read_zip(path: Path) -> tuple[Sb3Policy, dict[str, Any] | None]:
     except Exception as error:
         said = str(error).partition("\n")[0]
         raise InputError(f"{path} is no file of Stable-Baselines3: {said:.200}") from None
-    policy = actor_of(str(path), state, _written_traits(settings))
+    space = settings.get("observation_space")
+    text = space.get(ATTRIBUTE) if isinstance(space, dict) else None
+    origin = read_origin(text, str(path)) if isinstance(text, str) else None
+    traits = _written_traits(settings)
+    if traits.module == CANDIDATES:
+        names = {key: key.removeprefix(f"{_PPO.last}.") for key in state}
+        tensors = {names[key]: state[key].cpu().numpy() for key in state if names[key] != key}
+        tensors.pop("temper", None)
+        return line_policy(str(path), tensors, origin or {}), origin
+    policy = actor_of(str(path), state, traits)
     if scaled:
         policy = replace(policy, scale=_read_scale(path, scale, policy.layers.sizes[0]))
     elif _normalizers(path):
@@ -162,9 +174,7 @@ def read_zip(path: Path) -> tuple[Sb3Policy, dict[str, Any] | None]:
             f"{path} lies near {_normalizers(path)[0].name}, a VecNormalize, which the zip does not"
             " hold: train with normalize=True, or write the zip with save_model"
         )
-    space = settings.get("observation_space")
-    text = space.get(ATTRIBUTE) if isinstance(space, dict) else None
-    return policy, read_origin(text, str(path)) if isinstance(text, str) else None
+    return policy, origin
 
 
 def _normalizers(path: Path) -> list[Path]:
@@ -200,6 +210,11 @@ def actor_of(name: str, state: Mapping[str, Any], traits: PolicyTraits) -> Sb3Po
     """Return the actor of a policy's tensors; a policy of another shape is refused by its cause."""
     if "recurrent" in traits.module or any("lstm" in key for key in state):
         raise InputError(f"{name} has an LSTM, which keeps a state; give the model itself")
+    if traits.module == CANDIDATES:
+        raise InputError(
+            f"{name} scores the lattice's candidates: it races as it is, the zip of model.save has"
+            " all of it, and no ONNX file would lay the candidates"
+        )
     actor = ACTORS.get(traits.module)
     if actor is None:
         known = "PPO, A2C, DQN, MaskablePPO, SAC, TD3 or DDPG with MlpPolicy"
@@ -286,7 +301,7 @@ def read_sb3(request: Request) -> Racer | None:
     given, text = request.given, request.text
     if text.endswith(".zip"):
         policy, written = read_zip(Path(text))
-        origin = origin_of(policy, text, request.like) if written is None else written
+        origin = written or origin_of(policy, text, request.like)
         if origin is None:
             raise needs_like(text)
         return _racer(policy, text, origin, request)
@@ -302,7 +317,13 @@ def read_sb3(request: Request) -> Racer | None:
     return _racer(policy, name, origin or usual, request)
 
 
-def _racer(policy: Sb3Policy, name: str, origin: Mapping[str, Any], request: Request) -> Racer:
+def _racer(
+    policy: Sb3Policy | Policy, name: str, origin: Mapping[str, Any], request: Request
+) -> Racer:
+    if isinstance(policy, Policy):
+        return policy
+    if origin["environment"] == "line":
+        return line_policy(name, {}, origin)
     environment, wanted = origin["environment"], "duel" if policy.moves else "drive"
     if environment != wanted:
         actions = "moves" if policy.moves else "steering and speed"
@@ -362,12 +383,17 @@ def save_model(path: str | Path, model: Any) -> Path:
     model : BaseAlgorithm
     """
     target = Path(path).with_suffix(".zip")
-    frozen = frozen_model(model, target.stem)
-    training_origin(model, target.stem)  # refuses a wrapper that the model would lose
+    # Both refuse wrappers that the model would lose.
+    if type(getattr(model, "policy", None)).__module__ == CANDIDATES:
+        origin_of(model, target.stem)
+        kept = None
+    else:
+        kept = frozen_model(model, target.stem).scale
+        training_origin(model, target.stem)
     content = io.BytesIO()
     model.save(content)
-    if frozen.scale is not None:
-        scale = {key: np.asarray(one).tolist() for key, one in frozen.scale._asdict().items()}
+    if kept is not None:
+        scale = {key: np.asarray(one).tolist() for key, one in kept._asdict().items()}
         with zipfile.ZipFile(content, "a") as file:
             file.writestr(SCALE_FILE, json.dumps(scale))
     write_atomically(target, content.getvalue())

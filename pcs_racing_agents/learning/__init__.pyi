@@ -1,10 +1,8 @@
 from .best_replies import best_reply as best_reply
-from .league import (
-    League as League,
-    league_callback as league_callback,
-    load_league as load_league,
-    make_league as make_league,
-    save_league as save_league,
+from .candidates import (
+    CandidateNetwork as CandidateNetwork,
+    CandidatePolicy as CandidatePolicy,
+    MaskableCandidatePolicy as MaskableCandidatePolicy,
 )
 from .ppo import (
     PPOSettings as PPOSettings,
@@ -23,19 +21,17 @@ from .self_play import (
 )
 
 __all__ = [
-    "League",
+    "CandidateNetwork",
+    "CandidatePolicy",
+    "MaskableCandidatePolicy",
     "PPOSettings",
     "best_reply",
-    "league_callback",
     "learn_psro",
     "learn_response",
     "learn_self_play",
-    "load_league",
     "load_ppo_settings",
     "load_psro_settings",
     "load_response_settings",
     "load_self_play_settings",
-    "make_league",
-    "save_league",
     "train_ppo",
 ]

@@ -1,19 +1,15 @@
 import importlib
-import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from repository import REPOSITORY, run_python
 
 from pcs_racing import load_rules, load_track, run_races
 from pcs_racing.game.make import make_game
+from pcs_racing.game.moves import duplicate_moves
 from pcs_racing.game.players import competitor
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.planners.field.lidar_ppo import read_lidar_planner
-from pcs_racing.planners.line_ppo import read_line_planner
 from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.observing import own
@@ -99,27 +95,23 @@ def test_a_car_is_steered_with_keys(tmp_path, monkeypatch):
     assert [line.split(":")[0] for line in out.splitlines()] == ["race 0", "race 1"]
 
 
-@pytest.mark.parametrize(
-    ("script", "library"), [("maskable_ppo.py", "sb3_contrib"), ("cleanrl_self_play.py", "torch")]
-)
-def test_a_trained_agent_enters_a_tournament(tmp_path, monkeypatch, script, library):
-    pytest.importorskip(library)
-    run_python(EXAMPLES / script, "--steps", 1, folder=tmp_path)
+@pytest.mark.training
+def test_a_trained_agent_enters_a_tournament(tmp_path, monkeypatch):
+    pytest.importorskip("sb3_contrib")
+    run_python(EXAMPLES / "maskable_ppo.py", "--steps", 1, folder=tmp_path)
     monkeypatch.syspath_prepend(REPOSITORY)
     monkeypatch.chdir(tmp_path)
     spec = make_game(None, "contest", "contest")
-    agent = competitor(f"examples.{Path(script).stem}:make_agent", spec, code=True)
+    agent = competitor("examples.maskable_ppo:make_agent", spec, code=True)
     game = RaceGame(load_track("Pipkin"), spec.archive, spec.rules)
     seen = game.observation(game.reset(games=6, seed=1))[0]
     moves = agent.act(seen)
     assert set(moves.tolist()) <= set(range(spec.offered))
-    if script == "maskable_ppo.py":
-        from pcs_racing.game.moves import duplicate_moves
-
-        driven = spec.archive.nearest(own(seen, len(spec.archive.characteristics)))
-        assert not duplicate_moves(spec.table[:, : spec.offered])[driven, moves].any()
+    driven = spec.archive.nearest(own(seen, len(spec.archive.characteristics)))
+    assert not duplicate_moves(spec.table[:, : spec.offered])[driven, moves].any()
 
 
+@pytest.mark.training
 @pytest.mark.parametrize("script", ["train_ppo.py", "self_play_ppo.py"])
 def test_training_by_ppo(tmp_path, script):
     pytest.importorskip("stable_baselines3")
@@ -134,78 +126,27 @@ def test_training_by_ppo(tmp_path, script):
         }
 
 
-def test_self_play_of_steering_and_speed(tmp_path):
-    pytest.importorskip("stable_baselines3")
-    size = ("--steps", "512", "--envs", "8", "--rollout", "64", "--races", "2", "--duration", "2")
-    out = run_python(EXAMPLES / "drive_self_play.py", *size, "--track", "Pipkin", folder=tmp_path)
-    row = r"^ +512 steps .* about +0\.0 left .* won against the archive: \d+% .paper., \d+% "
-    assert re.search(row, out, re.M)
-    rows = re.findall(r"^(\S.*?) +(paper|contest) +([\d.]+)% +\S+ +([\d.]+)%$", out, re.M)
-    assert [row[1] for row in rows] == ["paper", "paper", "contest", "contest"]
-    opponents = [row[0] for row in rows]
-    assert opponents[1::2] == ["lidar-ppo", "lidar-ppo"]
-    assert all(name.startswith("archive ") for name in opponents[::2])
-    assert all(0.0 <= float(won) <= 100.0 for _, _, won, _ in rows)
-
-
-def test_a_league_grows_with_a_training_that_goes_on_from_its_folder(tmp_path):
-    pytest.importorskip("stable_baselines3")
-    size = ("--steps", "512", "--rounds", "2", "--envs", "8", "--races", "2", "--track", "Pipkin")
-    for copies in ("self-0002", "self-0004"):
-        out = run_python(EXAMPLES / "league_ppo.py", *size, folder=tmp_path)
-        assert re.search(rf"^{copies} +won \d+%$", out, re.M)
-    assert re.search(r"^ +1,024 +\d\.\d +4  \d+% \d+% \d+% \d+%$", out, re.M)
-    assert (tmp_path / "out" / "league_ppo" / "league" / "self-0004.zip").is_file()
-
-
-def train_whole_and_in_parts(script, *size, rival, folder):
-    """Train twice for two updates, once with a stop; return both checkpoints."""
-    torch = pytest.importorskip("torch")
-    file = EXAMPLES.parent / "dev" / "training" / script
-    size += ("--tracks", "Pipkin", "--random", 0, "--cars", 8, "--steps", 8, "--rivals", rival)
-    size += ("--races", 2, "--minibatch", 16, "--device", "cpu")
-    run_python(file, *size, "--updates", 2, "--out", "whole", folder=folder)
-    for updates in (1, 2):
-        out = run_python(file, *size, "--updates", updates, "--out", "parts", folder=folder)
-        assert re.search(rf"^  eval [\d.-]+  {rival[:9]} [\d.]+/[\d.]+$", out, re.M)
-    whole, parts = (
-        torch.load(folder / name / "checkpoint.pt", weights_only=True)
-        for name in ("whole", "parts")
-    )
-    for net in ("actor", "critic", "averaged"):
-        assert all(torch.equal(whole[net][key], parts[net][key]) for key in whole[net])
-    changed = ("--seed", 7, "--randomize", folder / "others.yaml")
-    (folder / "others.yaml").write_text("m: 4.0\n")
-    out = run_python(file, *size, "--updates", 2, *changed, "--out", "parts", folder=folder)
-    assert "races begin again: they were driven with another --seed, --randomize" in out
-    again = torch.load(folder / "parts" / "checkpoint.pt", weights_only=True)
-    assert again["randomize"] == {"m": [4.0, 4.0]}
-    return whole, parts
+@pytest.mark.training
+@pytest.mark.parametrize("kind", ["line", "lidar"])
+def test_a_planner_is_trained_and_a_stopped_training_goes_on(tmp_path, kind):
+    for library in ("torch", "matplotlib", "tensorboard"):
+        pytest.importorskip(library)
+    size = ("--tracks", "Pipkin", "--tests", "Pipkin", "--random", 1, "--envs", 8, "--races", 2)
+    for minutes in (0.002, 0.004):
+        out = run_python(
+            EXAMPLES / f"train_{kind}_ppo.py", *size, "--minutes", minutes, folder=tmp_path
+        )
+    assert "goes on after " in out
+    folder = tmp_path / "out" / f"train_{kind}_ppo"
+    curves = np.genfromtxt(folder / "curves.csv", delimiter=",", names=True)
+    assert len(curves) >= 4
+    assert (np.diff(curves["seconds"]) >= 0.0).all()
+    assert {"curves.png", "checkpoint.pt", "events"} <= {path.name for path in folder.iterdir()}
+    for place in ("last", "best"):
+        assert len(run_races(load_track("Pipkin"), str(folder / place), "lattice", seed=1).lead) > 0
 
 
 @pytest.mark.training
-def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
-    cars = tmp_path / "cars.yaml"
-    cars.write_text("mu: [0.8, 1.1]\neach: {steer_delay: [0.0, 0.06]}\n")
-    size = ("--each", 1, "--randomize", cars)
-    whole, _ = train_whole_and_in_parts("line_ppo.py", *size, rival="lattice", folder=tmp_path)
-    assert whole["choices"] == 2 * 8 * 8
-    fields, _ = read_line_planner(tmp_path / "whole" / "last")
-    assert (fields["name"], fields["training"]["choices"]) == ("line-ppo", 128)
-    assert json.loads(fields["training"]["randomize"]) == yaml.safe_load(cars.read_text())
-
-
-@pytest.mark.training
-def test_a_planner_by_lidar_is_trained_and_a_stopped_training_goes_on(tmp_path):
-    # The first update only imitates, the second one does both.
-    size = ("--checks", 0, "--warm", 3e-5, "--fade", 1e-3, "--teacher", "pure-pursuit")
-    whole, parts = train_whole_and_in_parts(
-        "lidar_ppo.py", *size, rival="pure-pursuit", folder=tmp_path
-    )
-    assert whole["choices"] == parts["choices"] > 0
-    assert read_lidar_planner(tmp_path / "whole" / "last")[0] == "lidar-ppo"
-
-
 def test_ppo_against_cfr(tmp_path):
     out = run_python(EXAMPLES / "ppo_against_cfr.py", "--steps", 100, "--races", 2, folder=tmp_path)
     rows = [line.split() for line in out.splitlines()]

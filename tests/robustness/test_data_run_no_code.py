@@ -39,12 +39,6 @@ from pcs_racing.race.config import Rules
 from pcs_racing.track.map_files import read_map
 from pcs_racing_agents.agents import export_onnx, make
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.learning.league import (
-    FILE as LEAGUE_FILE,
-    load_league,
-    make_league,
-    save_league,
-)
 from pcs_racing_agents.learning.ppo import PPOSettings, load_ppo_settings
 from pcs_racing_agents.learning.responses import load_psro_settings, load_response_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
@@ -198,17 +192,6 @@ def read_model(file: Path) -> object:
     return racer(file.with_suffix(".zip"))
 
 
-def league(folder: Path) -> Path:
-    """Save a league of a planner and the frozen copy of a model."""
-    read_model(origin(folder))
-    place = save_league(folder / "league", make_league(["lattice"]))
-    shutil.copy(folder / "origin.zip", place / "self-0001.zip")
-    members = yaml.safe_load((place / LEAGUE_FILE).read_text())
-    members["members"].append({**members["members"][0], "name": "self-0001"})
-    (place / LEAGUE_FILE).write_text(yaml.safe_dump(members))
-    return place / LEAGUE_FILE
-
-
 TREES = {
     "kind": "game trees",
     "settings": {
@@ -297,7 +280,6 @@ KINDS = {
         settings("job.yaml", TREES), lambda file: load_trees(file.parent), "_read_settings"
     ),
     "model": Kind(origin, read_model, "read_zip"),
-    "league": Kind(league, lambda file: load_league(file.parent).opponents()),
     "map": Kind(
         shipped("maps", "Pipkin/Pipkin_map.yaml"),
         lambda file: [read_map(file.parent), load_map(file)],

@@ -6,8 +6,8 @@ of a second, the car's measurements of itself and its last command. Its two outp
 as a share of `max_curvature`, and a change of speed. The car follows the arc of this curvature
 until the next command. The network first imitated a planner with a map in the places where the
 network drove, as in DAgger [1]_, and was then improved by PPO [2]_ against itself and other
-planners (``dev/training/lidar_ppo.py``). The critic of the training, and only the critic, knows the
-map and the opponent [3]_.
+planners. The critic of the training, and only the critic, knew the map and the opponent [3]_.
+``examples/train_lidar_ppo.py`` trains such a network without imitation.
 
 References
 ----------
@@ -39,7 +39,7 @@ from pcs_racing.base.dense import (
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.pursuit import steady_course
 from pcs_racing.planners.scanning import (
     BEAMS,
@@ -83,13 +83,12 @@ VARIANTS = {"calm": {"speed_share": 0.85}, "bold": {"speed_share": 1.05}}
 
 @compiled
 def observe(track, view, share, memory, scratch, seen):
-    """Scan, write the inputs of the network into ``seen``, shape (SEEN,), and remember the scan.
+    """Scan, and write the inputs of the network, of order one, into ``seen``, shape (SEEN,).
 
-    All inputs are of order one.
+    `remember` keeps the scan, the first `SECTORS` inputs, for the next observations.
     """
     ranges = scan(track, view, scratch)
     begun = memory[0] > 0.0
-    memory[0] = 1.0
     for k in range(SECTORS):
         nearest = MAX_RANGE
         for j in range(EDGES[k], EDGES[k + 1]):
@@ -101,16 +100,24 @@ def observe(track, view, share, memory, scratch, seen):
             at = 3 + (j - 1) * SECTORS + k
             before = memory[at] if begun else now
             seen[j * SECTORS + k] = min(max(CHANGE * (now - before), -1.0), 1.0)
-        for j in range(FRAMES - 1, 1, -1):
-            at = 3 + (j - 1) * SECTORS + k
-            memory[at] = memory[at - SECTORS] if begun else now
-        memory[3 + k] = now
     own = FRAMES * SECTORS
     seen[own] = view[_view.OWN_V] / (8.0 * share)
     seen[own + 1] = view[_view.OWN_PSI_DOT] / (4.0 * share)
     seen[own + 2] = view[_view.OWN_DELTA] / view[_view.STEER_MAX]
     seen[own + 3] = memory[1]
     seen[own + 4] = memory[2]
+
+
+@compiled
+def remember(memory, scan_now):
+    """Keep a scan, as roots, in a memory."""
+    begun = memory[0] > 0.0
+    memory[0] = 1.0
+    for k in range(SECTORS):
+        for j in range(FRAMES - 1, 1, -1):
+            at = 3 + (j - 1) * SECTORS + k
+            memory[at] = memory[at - SECTORS] if begun else scan_now[k]
+        memory[3 + k] = scan_now[k]
 
 
 @compiled
@@ -135,15 +142,10 @@ def plan_by(flat, track, share, view, memory, scratch, path):
     """Plan by the network with the numbers ``flat``."""
     x, y = scratch[SCAN_SIZE : SCAN_SIZE + SEEN], scratch[SCAN_SIZE + SEEN : SCRATCH]
     observe(track, view, share, memory, scratch, x)
+    remember(memory, x)
     dense_forward(flat, SIZES, x, y, False)
     turn, push = hyperbolic_tangent(y[0]), hyperbolic_tangent(y[1])
     lay_command(view, share, memory, turn, push, path)
-
-
-@compiled
-def plan_by_theta(track, theta, view, memory, scratch, path):
-    """Plan by ``theta``: the share of the speed, then the network's numbers."""
-    plan_by(theta[1:], track, theta[0], view, memory, scratch, path)
 
 
 @cache
@@ -156,6 +158,54 @@ def frozen_plan(frozen: bytes) -> Any:
         plan_by(constant, track, theta[0], view, memory, scratch, path)
 
     return identified(plan, frozen)
+
+
+@cache
+def _numbered(sizes: tuple[int, ...], tanh: bool, squash: bool) -> Planner:
+    """Return the planner of all networks with the same layers; its parameters are their numbers."""
+    widest, even = max(sizes), len(sizes) % 2 == 1
+
+    @compiled
+    def plan(track, theta, view, memory, scratch, path):
+        x = scratch[SCAN_SIZE : SCAN_SIZE + widest]
+        y = scratch[SCAN_SIZE + widest : SCAN_SIZE + 2 * widest]
+        observe(track, view, 1.0, memory, scratch, x)
+        remember(memory, x)
+        dense_forward(theta, sizes, x, y, tanh)
+        turn, push = (x[0], x[1]) if even else (y[0], y[1])
+        if squash:
+            turn, push = hyperbolic_tangent(turn), hyperbolic_tangent(push)
+        turn, push = min(max(turn, -1.0), 1.0), min(max(push, -1.0), 1.0)
+        lay_command(view, 1.0, memory, turn, push, path)
+
+    numbers = (
+        Parameter(f"number {k}", -1e3, 1e3, 0.0, "weight of a network")
+        for k in range(weight_count(sizes))
+    )
+    return Planner(
+        name="arc-network",
+        parameters=tuple(numbers),
+        plan=identified(plan, f"{sizes} {tanh} {squash}".encode()),
+        control=follow_scan,
+        memory_size=MEMORY,
+        scratch_size=SCAN_SIZE + 2 * widest,
+    )
+
+
+def arc_policy(
+    layers: DenseLayers, *, tanh: bool = False, squash: bool = True, name: str = "arc-network"
+) -> Policy:
+    """Return the policy of a network from sectors to arcs, as `Drive` has them.
+
+    Networks with the same layers share a planner, whose parameters are their numbers: nothing is
+    compiled for a network that changes. The arguments are as in :meth:`DenseLayers.forward`.
+    """
+    if (layers.sizes[0], layers.sizes[-1]) != (SEEN, 2):
+        raise InputError(
+            f"{name} has layers of sizes {layers.sizes}; from sectors to an arc they are {SEEN} to"
+            " 2"
+        )
+    return _numbered(layers.sizes, tanh, squash).policy(layers.flat().astype(np.float64), name)
 
 
 # Folders

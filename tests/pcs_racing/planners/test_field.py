@@ -11,7 +11,6 @@ from scipy.interpolate import CubicSpline
 
 from pcs_racing import CONTEST, PAPER, load_track, racer, run_races
 from pcs_racing.planners import line as line
-from pcs_racing.planners.field.alpha_racer import ALPHA_RACER, KEPT, SAMPLES, best_of_potential
 from pcs_racing.planners.field.bimatrix import MOVES, solve
 from pcs_racing.planners.field.disparity_extender import extend_disparities
 from pcs_racing.planners.field.follow_the_gap import longest_gap, smooth
@@ -38,7 +37,6 @@ from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.maps import list_tracks
 
 PASSING = (
-    "alpha-racer",
     "bimatrix-game",
     "iterated-best-response",
     "mppi",
@@ -228,41 +226,6 @@ def test_the_game_is_solved_for_the_leaders_equilibrium():
     follower = own[:, opponent[own.argmax(axis=0), np.arange(MOVES)].argmax()].argmax()
     flat = own.ravel(), opponent.ravel()
     assert (solve(*flat, True), solve(*flat, False)) == (leader, follower)
-
-
-def test_the_best_pair_is_that_of_the_nearest_potential_game():
-    """Against least squares over all differences by one car's choice, with random payoffs."""
-    own, opponent = np.random.default_rng(4).normal(size=(2, SAMPLES, SAMPLES))
-    cells = np.eye(SAMPLES * SAMPLES).reshape(SAMPLES, SAMPLES, -1)
-    rows, gains = [], []
-    for payoffs, at in ((own, cells), (opponent.T, cells.swapaxes(0, 1))):
-        for a, b in itertools.combinations(range(SAMPLES), 2):
-            rows.append(at[a] - at[b])
-            gains.append(payoffs[a] - payoffs[b])
-    potential = np.linalg.lstsq(np.concatenate(rows), np.concatenate(gains))[0].reshape(
-        SAMPLES, SAMPLES
-    )
-    for last in (-1, 5):
-        kept = potential + KEPT * (np.arange(SAMPLES) == last)[:, None]
-        found = best_of_potential(own.ravel(), opponent.ravel(), np.zeros(4 * SAMPLES), last)
-        assert found == np.unravel_index(kept.argmax(), kept.shape)
-
-
-def test_alpha_racer_stays_where_there_is_no_room_and_passes_where_there_is(oval, view_at):
-    """Behind a slow car, in the middle of a wide track and of one whose walls leave no room to
-    pass.
-    """
-    ends = []
-    for width in (1.2, 0.45):
-        line = oval.arrays.line.copy()
-        line[:, 7:9] = width
-        view = view_at(oval, 3.0, gap=2.5, opp_speed=1.5)
-        path, memory = np.zeros((PATH_POINTS, 4)), np.zeros(ALPHA_RACER.memory_size)
-        track, scratch = oval.arrays._replace(line=line), np.zeros(ALPHA_RACER.scratch_size)
-        ALPHA_RACER.plan(track, ALPHA_RACER.default, view, memory, scratch, path)
-        ends.append((abs(oval.to_frenet(path[-1, :2])[1]), path[:, 2].min()))
-    assert ends[0][0] > 0.15 > ends[1][0]
-    assert ends[1][1] < ends[0][1]
 
 
 def test_a_disparity_is_extended_by_half_a_car_to_its_far_side():
