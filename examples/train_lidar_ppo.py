@@ -20,16 +20,14 @@ from typing import Any
 import numpy as np
 
 from pcs_racing import InputError, load_track, run_races
-from pcs_racing.base.dense import DenseLayers
-from pcs_racing.envs import DriveHeadToHeadVectorEnv, DriveVectorEnv, RandomCircuits, random_circuit
-from pcs_racing.planners.field.lidar_ppo import (
-    SEEN,
-    SIZES,
-    arc_policy,
-    save_lidar_planner,
+from pcs_racing.envs import (
+    DriveHeadToHeadVectorEnv,
+    DriveVectorEnv,
+    RandomCircuits,
+    find_speeds,
+    random_circuit,
 )
-from pcs_racing.race.calibrating import find_speeds
-from pcs_racing.track.maps import list_tracks
+from pcs_racing.planners import DenseLayers, arc_policy, save_lidar_planner
 
 try:
     import torch
@@ -39,6 +37,14 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning,plots]"') from None
 
+TRACKS = (
+    "Brackwater",
+    "Kestrelheim",
+    "Pipkin",
+    "Quillburg",
+    "Tarnfjord",
+)
+"""Circuits to learn on, beside random ones."""
 HELD_OUT = ("Larkmoor", "Saltmere", "Vellindra")
 """Circuits of the evaluations."""
 TESTS = ("pure-pursuit", "gap-follower", "lattice")
@@ -73,6 +79,8 @@ KL, MAX_KL, MAX_RATE, KEPT = 0.01, 0.04, 2e-3, 0.9
 """Divergence that the learning rate aims at, divergence that ends an update, max learning rate;
 share of the averaged weights that an update keeps.
 """
+SIZES = (230, 128, 128, 2)
+"""Sizes of the actor's layers, those of `lidar-ppo`."""
 SPREAD = (0.3, 0.6)
 """First standard deviations of turn and push."""
 
@@ -98,7 +106,7 @@ class Learner(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.actor, self.critic = layers(*SIZES), layers(SEEN, 256, 128, 1)
+        self.actor, self.critic = layers(*SIZES), layers(SIZES[0], 256, 128, 1)
         self.averaged = layers(*SIZES).requires_grad_(False)
         self.averaged.load_state_dict(self.actor.state_dict())
         self.spread = nn.Parameter(torch.tensor(SPREAD).log())
@@ -190,8 +198,7 @@ def update(
         factor = 1.5 if kl < 0.5 * KL else 1.0 / 1.5 if kl > 2.0 * KL else 1.0
         group["lr"] = min(max(group["lr"] * factor, 1e-5), MAX_RATE)
     learner.average()
-    last = {"kl": kl, "error": float(error.detach()), "rate": group["lr"]}
-    return last | {"return": float(found["returns"].mean())}
+    return {"kl": kl, "rate": group["lr"], "return": float(found["returns"].mean())}
 
 
 def evaluate(learner: Learner, a: argparse.Namespace) -> dict[str, float]:
@@ -301,13 +308,12 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    shipped = [name for name in list_tracks() if name not in HELD_OUT]
     add("--out", type=Path, default=Path("out/train_lidar_ppo"), help="folder of all files")
     add("--minutes", type=float, default=60.0, help="time of learning, earlier calls included")
     add("--every", type=float, default=5.0, help="minutes between evaluations")
     add("--envs", type=int, default=1024, help="cars that learn, a multiple of 4")
     add("--threads", type=int, default=2, help="threads of the races and of torch")
-    add("--tracks", nargs="+", default=shipped, help="circuits to learn on")
+    add("--tracks", nargs="+", default=TRACKS, help="circuits to learn on")
     add("--random", type=int, default=40, help="random circuits in addition")
     add("--tests", nargs="+", default=HELD_OUT, help="circuits of the evaluations")
     add("--races", type=int, default=40, help="races of a test, for each circuit and planner")

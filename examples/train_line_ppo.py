@@ -20,15 +20,14 @@ from typing import Any
 import numpy as np
 
 from pcs_racing import InputError, load_track, run_races
-from pcs_racing.envs import LineHeadToHeadVectorEnv, LineVectorEnv, RandomCircuits, random_circuit
-from pcs_racing.planners.line_ppo import (
-    LATTICE_SIZE,
-    network_policy,
-    read_line_planner,
-    save_line_planner,
+from pcs_racing.envs import (
+    LineHeadToHeadVectorEnv,
+    LineVectorEnv,
+    RandomCircuits,
+    find_speeds,
+    random_circuit,
 )
-from pcs_racing.race.calibrating import find_speeds
-from pcs_racing.track.maps import list_tracks
+from pcs_racing.planners import network_policy, save_line_planner
 
 try:
     import torch
@@ -36,10 +35,18 @@ try:
     from torch import Tensor, nn
     from torch.utils.tensorboard import SummaryWriter
 
-    from pcs_racing_agents.learning import CandidateNetwork
+    from pcs_racing_agents import learning
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning,plots]"') from None
 
+TRACKS = (
+    "Brackwater",
+    "Kestrelheim",
+    "Pipkin",
+    "Quillburg",
+    "Tarnfjord",
+)
+"""Circuits to learn on, beside random ones."""
 HELD_OUT = ("Larkmoor", "Saltmere", "Vellindra")
 """Circuits of the evaluations."""
 TESTS = ("lattice", "iterated-best-response", "pure-pursuit", "gap-follower")
@@ -77,11 +84,11 @@ class Learner(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.actor = CandidateNetwork()
-        self.averaged = CandidateNetwork().requires_grad_(False)
+        self.actor = learning.CandidateNetwork()
+        self.averaged = learning.CandidateNetwork().requires_grad_(False)
         self.averaged.load_state_dict(self.actor.state_dict())
         self.critic = nn.Sequential(
-            nn.Linear(CandidateNetwork.CONTEXT + 2, 128),
+            nn.Linear(learning.CandidateNetwork.CONTEXT + 2, 128),
             nn.Tanh(),
             nn.Linear(128, 128),
             nn.Tanh(),
@@ -90,7 +97,7 @@ class Learner(nn.Module):
 
     def value(self, seen: Tensor) -> Tensor:
         """Return the values of observations, shape (N,)."""
-        context, rest = seen[..., : CandidateNetwork.CONTEXT], seen[..., -2:]
+        context, rest = seen[..., : learning.CandidateNetwork.CONTEXT], seen[..., -2:]
         return self.critic(torch.cat([context, rest], dim=-1))[..., 0]
 
     def average(self) -> None:
@@ -214,9 +221,8 @@ class Run:
         a.out.mkdir(parents=True, exist_ok=True)
         self.learner = Learner()
         if a.start:
-            numbers = read_line_planner(a.start)[1][LATTICE_SIZE:]
-            for network in (self.learner.actor, self.learner.averaged):
-                network.load_numbers(numbers)
+            self.learner.actor.load(a.start)
+            self.learner.averaged.load(a.start)
         own = [*self.learner.actor.parameters(), *self.learner.critic.parameters()]
         self.optimizer = torch.optim.Adam(own, RATE, eps=1e-5)
         self.frozen = [self.learner.averaged.tensors()] * COPIES
@@ -295,13 +301,12 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    shipped = [name for name in list_tracks() if name not in HELD_OUT]
     add("--out", type=Path, default=Path("out/train_line_ppo"), help="folder of all files")
     add("--minutes", type=float, default=30.0, help="time of learning, earlier calls included")
     add("--every", type=float, default=5.0, help="minutes between evaluations")
     add("--envs", type=int, default=512, help="cars that learn, a multiple of 4")
     add("--threads", type=int, default=2, help="threads of the races and of torch")
-    add("--tracks", nargs="+", default=shipped, help="circuits to learn on")
+    add("--tracks", nargs="+", default=TRACKS, help="circuits to learn on")
     add("--random", type=int, default=40, help="random circuits in addition")
     add("--tests", nargs="+", default=HELD_OUT, help="circuits of the evaluations")
     add("--races", type=int, default=40, help="races of a test, for each circuit and planner")

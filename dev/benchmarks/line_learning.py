@@ -16,9 +16,8 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from pcs_racing import load_track, run_races
-from pcs_racing.envs import RandomCircuits, make_sb3_vec_env, random_circuit
+from pcs_racing.envs import RandomCircuits, find_speeds, make_sb3_vec_env, random_circuit
 from pcs_racing.planners.line_ppo import network_policy
-from pcs_racing.race.calibrating import find_speeds
 from pcs_racing.track.maps import list_tracks
 from pcs_racing_agents.learning import CandidatePolicy
 

@@ -23,6 +23,7 @@ from .line_options import split_observation as split_observation
 from .obstacles import Obstacles as Obstacles
 from .random_circuits import (
     RandomCircuits as RandomCircuits,
+    find_speeds as find_speeds,
     random_circuit as random_circuit,
 )
 from .registration import (
@@ -56,6 +57,7 @@ __all__ = [
     "Step",
     "drive",
     "duel",
+    "find_speeds",
     "line",
     "make_sb3_vec_env",
     "random_circuit",

@@ -22,8 +22,9 @@ class LineEnv(ScalarEnv):
     :class:`pcs_racing.envs.drive.DriveEnv` with another action: the lattice planner lays 64
     candidates, 16 moves across the track at 4 speeds, and the agent chooses the one that its car
     follows for 0.1 s. Walls and grip are known to the candidates; what is left to learn is racing.
-    The planner ``line-ppo`` learned here. Tracks, cars, opponents, rules and obstacles are as in
-    `DriveEnv`; the default rules are "contest".
+    The planner ``line-ppo`` learned here; ``CandidatePolicy`` of ``pcs_racing_agents.learning``
+    begins as the lattice, and its models race anywhere. Tracks, cars, opponents, rules and
+    obstacles are as in `DriveEnv`; the default rules are "contest".
 
     ## Action Space
 

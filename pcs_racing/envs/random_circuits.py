@@ -1,7 +1,7 @@
 """Random tracks: generated from numbers, in threads, while other tracks are in use."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated
 
@@ -10,7 +10,7 @@ from annotated_types import Interval
 
 from pcs_racing.base.errors import ConfigError, MapError
 from pcs_racing.base.settings import OneOf, Settings
-from pcs_racing.race.config import KNOWN_RULES, Rules
+from pcs_racing.race.config import KNOWN_RULES, Rules, load_rules
 from pcs_racing.race.start_grid import PLACE_EVERY, stretches_of
 from pcs_racing.track.building.tracks import build_track
 from pcs_racing.track.frenet import KAPPA
@@ -97,6 +97,26 @@ def random_circuit(settings: RandomCircuits, index: int) -> Track:
             continue
         return track
     raise MapError(f"no circuit came of {settings} in {TRIES} attempts: {refusal}")
+
+
+def find_speeds(track: Track, rules: Rules | str = "contest", *, threads: int = 1) -> Track:
+    """Return a circuit with the speed range that short test drives find for rules, in a second.
+
+    The speed range of :func:`random_circuit` is low, and the same for all circuits. A network that
+    learns on circuits with found speeds meets the speeds of calibrated ones.
+
+    Examples
+    --------
+    >>> made = find_speeds(random_circuit(RandomCircuits(), 3))
+    >>> made.calibration["contest"].speed_range[1] > 0.97
+    True
+    """
+    from pcs_racing.race.calibrating import find_speed_range  # with planners, which others lack
+
+    rules = load_rules(rules)
+    found = find_speed_range(track, rules, threads=threads)
+    own = replace(track.calibration[rules.name], speed_range=found)
+    return replace(track, calibration={rules.name: own})
 
 
 def _calibration(track: Track, rules: Rules) -> Calibration:

@@ -1,4 +1,9 @@
 from . import view as view
+from .field.lidar_ppo import (
+    DenseLayers as DenseLayers,
+    arc_policy as arc_policy,
+    save_lidar_planner as save_lidar_planner,
+)
 from .imported import drivers_from as drivers_from
 from .kit import (
     KAPPA as KAPPA,
@@ -11,6 +16,10 @@ from .kit import (
     compiled as compiled,
     sine_cosine as sine_cosine,
     to_cartesian as to_cartesian,
+)
+from .line_ppo import (
+    network_policy as network_policy,
+    save_line_planner as save_line_planner,
 )
 from .planner import (
     Parameter as Parameter,
@@ -46,19 +55,24 @@ __all__ = [
     "RIGHT",
     "SPEED",
     "VIEW",
+    "DenseLayers",
     "Lidar",
     "Parameter",
     "Planner",
     "Policy",
     "PolicySet",
     "angle_between",
+    "arc_policy",
     "compiled",
     "drivers_from",
     "get_planner",
+    "network_policy",
     "parse_policy",
     "planner_names",
     "racer",
     "register_planner",
+    "save_lidar_planner",
+    "save_line_planner",
     "sine_cosine",
     "to_cartesian",
     "view",

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from pcs_racing.base.errors import InputError, say
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import F1TENTH, PSI, V
 from pcs_racing.planners.lattice import REFERENCE
-from pcs_racing.race.config import DT, Rules, load_rules
+from pcs_racing.race.config import DT, Rules
 from pcs_racing.race.contacts import END
 from pcs_racing.race.driving import BareField, advance, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
@@ -182,29 +182,15 @@ def calibrate(
     )
 
 
-def find_speeds(track: Track, rules: Rules | str = "contest", *, threads: int = 1) -> Track:
-    """Return a circuit with the speed range that short test drives find for rules, in a second.
-
-    The speed range of a circuit of :func:`pcs_racing.envs.random_circuit` is the same for all of
-    them and low. A network that learns on such circuits meets the speeds of calibrated ones.
-
-    Examples
-    --------
-    >>> from pcs_racing.envs import RandomCircuits, random_circuit
-    >>> made = find_speeds(random_circuit(RandomCircuits(), 3))
-    >>> made.calibration["contest"].speed_range[1] > 0.97
-    True
-    """
-    rules = load_rules(rules)
+def find_speed_range(track: Track, rules: Rules, *, threads: int = 1) -> tuple[float, float]:
+    """Return the speed range of a circuit for rules with noise, by short test drives: a second."""
     scales = np.array(SCALES)
     hazard = hazard_scan(
         track, rules, SCALES, cars=40, seconds=20.0, enough=HAZARD_WITH_NOISE, threads=threads
     )
     hazard = np.maximum.accumulate(hazard)
     high = min(_crossing(scales[: len(hazard)], hazard, HAZARD_WITH_NOISE), FRICTION_SCALE)
-    range_ = round(high - WIDTH_WITH_NOISE, 2), round(high, 2)
-    known = track.calibration[rules.name]
-    return replace(track, calibration={rules.name: replace(known, speed_range=range_)})
+    return round(high - WIDTH_WITH_NOISE, 2), round(high, 2)
 
 
 def find_places(

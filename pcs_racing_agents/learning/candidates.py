@@ -5,6 +5,7 @@ the lattice, because its last layers are 0, and its weights race as a planner do
 (:func:`pcs_racing.planners.line_ppo.network_policy`).
 """
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,13 @@ from pcs_racing.base.errors import InputError, require
 from pcs_racing.envs.line_options import LINE_ELEMENTS, split_observation
 from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
 from pcs_racing.planners.choice_rows import CONTEXT, MOVE, PAIR, SPEED
-from pcs_racing.planners.line_ppo import LAYERS, SHARPNESS, tensors_of
+from pcs_racing.planners.line_ppo import (
+    LATTICE_SIZE,
+    LAYERS,
+    SHARPNESS,
+    read_line_planner,
+    tensors_of,
+)
 
 try:
     import torch
@@ -84,10 +91,11 @@ class CandidateNetwork(nn.Module):
         state = self.state_dict()
         return {name: state[name].detach().cpu().numpy().copy() for name in names}
 
-    def load_numbers(self, numbers: NDArray[np.float64]) -> None:
-        """Start from the numbers of a line planner's network."""
-        tensors = {key: torch.from_numpy(one).float() for key, one in tensors_of(numbers).items()}
-        self.load_state_dict(tensors, strict=False)
+    def load(self, source: str | Path) -> None:
+        """Take the weights of a line planner: a shipped name or a folder."""
+        tensors = tensors_of(read_line_planner(source)[1][LATTICE_SIZE:])
+        state = {key: torch.from_numpy(one).float() for key, one in tensors.items()}
+        self.load_state_dict(state, strict=False)
 
 
 class _Parts(nn.Module):

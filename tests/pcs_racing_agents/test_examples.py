@@ -139,7 +139,7 @@ def test_a_planner_is_trained_and_a_stopped_training_goes_on(tmp_path, kind):
     assert "goes on after " in out
     folder = tmp_path / "out" / f"train_{kind}_ppo"
     curves = np.genfromtxt(folder / "curves.csv", delimiter=",", names=True)
-    assert len(curves) >= 4
+    assert len(curves) >= 3
     assert (np.diff(curves["seconds"]) >= 0.0).all()
     assert {"curves.png", "checkpoint.pt", "events"} <= {path.name for path in folder.iterdir()}
     for place in ("last", "best"):

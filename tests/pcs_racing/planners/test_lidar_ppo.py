@@ -29,6 +29,7 @@ from pcs_racing.planners.view import OWN_PSI_DOT, OWN_V, PATH_POINTS
 def seen_from(oval, view, memory, share=1.0):
     out = np.zeros(SEEN)
     lidar_ppo.observe(oval.arrays, view, share, memory, np.zeros(SCRATCH), out)
+    lidar_ppo.remember(memory, out)
     return out
 
 

@@ -157,7 +157,7 @@ def test_a_higher_pace_drives_faster():
 def test_weights_of_another_form_are_refused(tmp_path, changes, message):
     content = save(tensors(0.1) | changes)
     assert load(content)
-    refused(message, line_ppo._checked_tensors, tmp_path, content)
+    refused(message, line_ppo._read_tensors, tmp_path, content)
 
 
 def test_a_parameter_out_of_bounds_is_refused(tmp_path):

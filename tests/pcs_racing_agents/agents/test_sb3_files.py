@@ -151,8 +151,8 @@ def test_damaged_files_are_one_line_each(tmp_path, monkeypatch):
     other.write_bytes(b"not a zip")
     refused(r"other\.zip", racer, other)
     for origin, message in [
-        ("{", "it must be drive or duel"),
-        ('{"environment": "boat"}', "it must be drive or duel"),
+        ("{", "it must be drive, duel or line"),
+        ('{"environment": "boat"}', "it must be drive, duel or line"),
         ('{"environment": "duel"}', "actions of steering and speed"),
         ('{"environment": "drive", "beam": 3}', "'beam' is unknown"),
         ('{"environment": "drive", "beams": 7}', r"the observation_space \(46,\)"),

@@ -53,7 +53,7 @@ def test_it_begins_as_the_lattice():
 
 def test_with_the_weights_of_line_ppo_it_drives_as_line_ppo():
     numbers, network = read_line_planner("line-ppo")[1][LATTICE_SIZE:], CandidateNetwork()
-    network.load_numbers(numbers)
+    network.load("line-ppo")
     np.testing.assert_array_equal(flat_weights(tensors_of(numbers)), numbers)
     policy = network_policy(network.tensors(), style={"risk": 0.5})
     both = [policy, racer("line-ppo:risk=0.5")]
