@@ -1,7 +1,7 @@
 """Train a network that races by a lidar without a map, by PPO in self-play.
 
     python examples/train_lidar_ppo.py --minutes 60
-    pcs-racing race out/train_lidar_ppo/best pure-pursuit --replay race.html
+    pcs-racing race --ego out/train_lidar_ppo/best --opponent pure-pursuit --replay race.html
 
 One file, in the style of CleanRL. The network leads from the sectors of a lidar to arcs. Half of
 the cars race each other; the other half race planners and frozen copies of the network. Every few
@@ -91,7 +91,6 @@ def layers(*sizes: int) -> nn.Sequential:
     for below, above in pairwise(sizes):
         parts += [nn.Linear(below, above), nn.ReLU()]
         nn.init.orthogonal_(parts[-2].weight, 2.0**0.5 if above > 2 else 0.01)
-        nn.init.zeros_(parts[-2].bias)
     return nn.Sequential(*parts[:-1])
 
 
@@ -115,11 +114,6 @@ class Learner(nn.Module):
         """Return the log probability densities of actions, shape (N,), up to a constant."""
         far = (actions - means) / self.spread.exp()
         return (-0.5 * far.square() - self.spread).sum(dim=-1)
-
-    def average(self) -> None:
-        """Move the averaged actor towards the actor."""
-        for slow, fast in zip(self.averaged.parameters(), self.actor.parameters(), strict=True):
-            slow.lerp_(fast.detach(), 1.0 - KEPT)
 
 
 class Races:
@@ -197,7 +191,9 @@ def update(
     for group in optimizer.param_groups:
         factor = 1.5 if kl < 0.5 * KL else 1.0 / 1.5 if kl > 2.0 * KL else 1.0
         group["lr"] = min(max(group["lr"] * factor, 1e-5), MAX_RATE)
-    learner.average()
+    slow, fast = learner.averaged.parameters(), learner.actor.parameters()
+    for averaged, trained in zip(slow, fast, strict=True):
+        averaged.lerp_(trained.detach(), 1.0 - KEPT)
     return {"kl": kl, "rate": group["lr"], "return": float(found["returns"].mean())}
 
 
@@ -237,7 +233,10 @@ class Run:
         self.frozen = [self.learner.averaged.state_dict()] * COPIES
         self.counts: dict[str, float] = {"updates": 0, "actions": 0, "best": -1e9, "seconds": 0.0}
         if self.file.exists():
-            saved = torch.load(self.file, weights_only=True)
+            try:
+                saved = torch.load(self.file, weights_only=True)
+            except Exception as error:  # whatever torch makes of a damaged file
+                raise SystemExit(f"error: {self.file} is no checkpoint: {error!s:.80}") from None
             self.learner.load_state_dict(saved["learner"])
             self.optimizer.load_state_dict(saved["optimizer"])
             self.frozen, self.counts = saved["frozen"], saved["counts"]
@@ -247,19 +246,18 @@ class Run:
         """Evaluate; save curves, weights and the checkpoint."""
         row, counts, a = evaluate(self.learner, self.a), self.counts, self.a
         found = float(np.mean([row[one] - row[f"{one} own crashes"] for one in TESTS]))
-        curves = a.out / "curves.csv"
         cells = "  ".join(
             f"{one} {row[one]:.3f} ({row[f'{one} own crashes']:.3f})" for one in TESTS
         )
         print(f"{counts['seconds'] / 60:6.1f} min {counts['actions']:12,}  {cells}", flush=True)
         line = {key: round(counts[key]) for key in ("seconds", "actions")} | row
-        with curves.open("a", newline="") as file:
+        with (a.out / "curves.csv").open("a", newline="") as file:
             if file.tell() == 0:
                 csv.DictWriter(file, line).writeheader()
             csv.DictWriter(file, line).writerow(line)
         for key, value in row.items():
             writer.add_scalar(f"races/{key}", value, counts["actions"])
-        draw(curves)
+        draw(a.out / "curves.csv")
         about = {key: counts[key] for key in ("actions", "updates")} | {"seed": a.seed}
         for folder in ("last", "best")[: 1 + (found > counts["best"])]:
             network = dense(self.learner.averaged.state_dict())
@@ -300,7 +298,6 @@ class Run:
                 self.frozen[k] = {key: one.clone() for key, one in averaged.items()}
                 races.against.set_opponent(k, arc_policy(dense(self.frozen[k])))
         self.report(writer)
-        writer.close()
 
 
 def main() -> None:
@@ -311,7 +308,7 @@ def main() -> None:
     add("--out", type=Path, default=Path("out/train_lidar_ppo"), help="folder of all files")
     add("--minutes", type=float, default=60.0, help="time of learning, earlier calls included")
     add("--every", type=float, default=5.0, help="minutes between evaluations")
-    add("--envs", type=int, default=1024, help="cars that learn, a multiple of 4")
+    add("--envs", type=int, default=1024, help="cars that learn, a multiple of 8")
     add("--threads", type=int, default=2, help="threads of the races and of torch")
     add("--tracks", nargs="+", default=TRACKS, help="circuits to learn on")
     add("--random", type=int, default=40, help="random circuits in addition")
@@ -319,8 +316,10 @@ def main() -> None:
     add("--races", type=int, default=40, help="races of a test, for each circuit and planner")
     add("--seed", type=int, default=0, help="seed of all random numbers")
     a = parser.parse_args()
-    if a.envs < 4 or a.envs % 4:
-        parser.error(f"--envs is {a.envs}; it must be a multiple of 4")
+    for name, least in {"envs": 8, "threads": 1, "races": 1, "random": 0, "minutes": 0.0}.items():
+        if not getattr(a, name) >= least or (name == "envs" and a.envs % 8):
+            more = ", a multiple of 8" if name == "envs" else ""
+            parser.error(f"--{name} is {getattr(a, name)}; it must be at least {least}{more}")
     torch.set_num_threads(a.threads)
     try:
         Run(a).train()

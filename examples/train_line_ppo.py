@@ -1,7 +1,7 @@
 """Train a network that chooses among the lattice's candidates, by PPO in self-play.
 
     python examples/train_line_ppo.py --minutes 30
-    pcs-racing race out/train_line_ppo/best lattice --replay race.html
+    pcs-racing race --ego out/train_line_ppo/best --replay race.html
 
 One file, in the style of CleanRL. The network begins level with the lattice. Half of the cars race
 each other with drawn styles; the other half, in the default style, race planners and frozen copies
@@ -228,7 +228,10 @@ class Run:
         self.frozen = [self.learner.averaged.tensors()] * COPIES
         self.counts: dict[str, float] = {"updates": 0, "choices": 0, "best": -1e9, "seconds": 0.0}
         if self.file.exists():
-            saved = torch.load(self.file, weights_only=True)
+            try:
+                saved = torch.load(self.file, weights_only=True)
+            except Exception as error:  # whatever torch makes of a damaged file
+                raise SystemExit(f"error: {self.file} is no checkpoint: {error!s:.80}") from None
             self.learner.load_state_dict(saved["learner"])
             self.optimizer.load_state_dict(saved["optimizer"])
             self.frozen = [
@@ -293,7 +296,6 @@ class Run:
                 self.frozen[k] = self.learner.averaged.tensors()
                 races.against.set_opponent(k, network_policy(self.frozen[k], name=f"copy {k}"))
         self.report(writer)
-        writer.close()
 
 
 def main() -> None:
@@ -304,7 +306,7 @@ def main() -> None:
     add("--out", type=Path, default=Path("out/train_line_ppo"), help="folder of all files")
     add("--minutes", type=float, default=30.0, help="time of learning, earlier calls included")
     add("--every", type=float, default=5.0, help="minutes between evaluations")
-    add("--envs", type=int, default=512, help="cars that learn, a multiple of 4")
+    add("--envs", type=int, default=512, help="cars that learn, a multiple of 8")
     add("--threads", type=int, default=2, help="threads of the races and of torch")
     add("--tracks", nargs="+", default=TRACKS, help="circuits to learn on")
     add("--random", type=int, default=40, help="random circuits in addition")
@@ -313,8 +315,10 @@ def main() -> None:
     add("--start", help="line planner to start from, such as line-ppo (default: the lattice)")
     add("--seed", type=int, default=0, help="seed of all random numbers")
     a = parser.parse_args()
-    if a.envs < 4 or a.envs % 4:
-        parser.error(f"--envs is {a.envs}; it must be a multiple of 4")
+    for name, least in {"envs": 8, "threads": 1, "races": 1, "random": 0, "minutes": 0.0}.items():
+        if not getattr(a, name) >= least or (name == "envs" and a.envs % 8):
+            more = ", a multiple of 8" if name == "envs" else ""
+            parser.error(f"--{name} is {getattr(a, name)}; it must be at least {least}{more}")
     torch.set_num_threads(a.threads)
     try:
         Run(a).train()

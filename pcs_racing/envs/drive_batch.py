@@ -481,9 +481,11 @@ class DriveBatch:
         """Replace one of the opponents by another policy of its planner."""
         from pcs_racing.planners.racers import policy_racer
 
+        if not self.opponents:
+            raise InputError("only an opponent that is drawn for each episode can be replaced")
         check_whole("index", index, 0, len(self.opponents) - 1)
         old, new = self.opponents[index], policy_racer(policy)
-        if new.planner is not old.planner:
+        if new.planner != old.planner:
             raise InputError(
                 f"opponent {index} is {new.name!r}, a policy of {new.planner.name!r}; only another"
                 f" policy of {old.name!r}'s planner can replace it"

@@ -19,7 +19,7 @@ from pcs_racing.car.lidar_kernel import FIELD_OF_VIEW, MAX_BEAMS, MAX_RANGE, Bea
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.envs.drive_kernel import Limits, Sight
 from pcs_racing.envs.randomization import EpisodeOptions
-from pcs_racing.race.config import DT, MAX_LAPS, PLAN_EVERY, Rules, load_rules
+from pcs_racing.race.config import DT, MAX_LAPS, Rules, load_rules
 from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.track import Track
 
@@ -48,6 +48,18 @@ KEPT = (
     "normalized",
 )
 """Arguments of an environment that define a model's observations and actions."""
+
+
+ONLY_WITH_ARCS = {
+    "time_step": 0.1,
+    "normalized": True,
+    "beams": 0,
+    "min_speed": 0.0,
+    "top_speed": 8.0,
+    "own_pose": False,
+    "time_left": False,
+}
+"""Values of the arguments that arcs and sectors leave no choice of."""
 
 
 def _source(name: str, value: Any, kind: type) -> Any:
@@ -226,11 +238,9 @@ class DriveOptions(RaceOptions):
                 f"action is {self.action!r} and observation {self.observation!r}; 'arc' and"
                 " 'sectors' belong together"
             )
-        if arcs and (self.ticks != PLAN_EVERY or not self.normalized or self.beams > 0):
-            raise ConfigError(
-                f"time_step is {self.time_step:g}, normalized {self.normalized} and beams"
-                f" {self.beams}; with arcs they are 0.1, True and 0"
-            )
+        for name, only in ONLY_WITH_ARCS.items() if arcs else ():
+            if getattr(self, name) != only:
+                raise ConfigError(f"{name} is {getattr(self, name)}; with arcs it is {only}")
 
     @property
     def ticks(self) -> int:

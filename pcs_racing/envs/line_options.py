@@ -39,7 +39,9 @@ def _style(name: str, value: Any) -> dict[str, tuple[float, float]]:
     bounds = {one.name: (one.low, one.high) for one in PARAMETERS}
     for key, given in value.items():
         if key not in bounds:
-            raise UnknownNameError(f"{name} has the unknown key {choices(str(key), bounds)}")
+            raise UnknownNameError(
+                f"{name} has the unknown key {key!r}; {choices(str(key), bounds)}"
+            )
         ends = given if isinstance(given, list | tuple) else (given, given)
         if len(ends) != 2:
             raise InputError(f"{name} {key} is {given!r:.80}; it must be a number or (low, high)")

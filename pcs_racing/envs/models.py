@@ -256,9 +256,15 @@ def origin_of(
     """
     env = model.get_env() if callable(getattr(model, "get_env", None)) else None
     texts = {origin_text(layer) for layer in layers(env, kept)} if env is not None else set()
-    texts = (texts - {None}) or {origin_text(model)}
+    texts, own = texts - {None}, origin_text(model)
     if len(texts) > 1:
         raise InputError(f"the environments of model {name!r} differ; give one of them as like=")
+    texts = texts | {own} if own is not None else texts or {None}
+    if len(texts) > 1:
+        raise InputError(
+            f"the environment of model {name!r} differs from its spaces, which its zip will hold:"
+            " set model.observation_space to that of the environment"
+        )
     (text,) = texts
     if text is not None:
         return read_origin(text, f"model {name!r}")

@@ -546,8 +546,12 @@ def network_policy(
     style : mapping of float
         Parameters of ``line-ppo`` that differ from their defaults.
     """
+    for what, given in (("its tensors", tensors), ("its style", style or {})):
+        if not isinstance(given, Mapping):
+            raise InputError(f"{name}: {what} is {given!r:.80}; it must be a mapping by name")
     chosen = Planner(NAME, PARAMETERS).policy(dict(style or {})).parameters
-    numbers = [chosen, LATTICE.policy().parameters, flat_weights(check_tensors(name, tensors))]
+    arrays = {key: np.asarray(one) for key, one in tensors.items()}
+    numbers = [chosen, LATTICE.policy().parameters, flat_weights(check_tensors(name, arrays))]
     return _numbered().policy(np.concatenate(numbers), name)
 
 
@@ -591,7 +595,8 @@ def check_tensors(owner: Any, tensors: Mapping[str, NDArray[Any]]) -> Mapping[st
             raise InputError(
                 f"{owner}: {key} has shape {found}; a line planner has {shapes.get(key)}"
             )
-        if not (np.abs(tensors[key]) <= MAX_WEIGHT).all():
+        real = tensors[key].dtype.kind in "iuf"
+        if not real or not (np.abs(tensors[key]) <= MAX_WEIGHT).all():
             raise InputError(f"{owner}: {key} must be numbers within {MAX_WEIGHT:g}")
     return tensors
 

@@ -110,10 +110,9 @@ LIDAR = f"""
 """
 
 
-def lidar_network(folder: Path) -> OnnxNetwork:
-    """Return the network of a lidar planner."""
-    name, layers = lidar_ppo.read_lidar_planner(folder)
-    nodes, constants = chain("seen", "action", [*layer_steps(layers, "Relu"), ("Tanh",)])
+def lidar_network(name: str, steps: Sequence[Step]) -> OnnxNetwork:
+    """Return the network of a driver by lidar, given the steps from sectors to an arc."""
+    nodes, constants = chain("seen", "action", steps)
     first, end = lidar_ppo.EDGES[:-1, None], lidar_ppo.EDGES[1:, None]
     numbers = {
         "zero": 0.0,
@@ -199,6 +198,9 @@ def _exported(model: Any) -> OnnxNetwork:
         raise InputError(
             f"{plain.name} scores the lattice's candidates, which no ONNX file would lay"
         )
+    if (origin or {}).get("action") == "arc":
+        within = [("Max", np.float32(-1.0)), ("Min", np.float32(1.0))]
+        return lidar_network(plain.name, [*_actor(plain), *within])
     game = (origin or {}).get("game")
     return _moves(plain, elements, game) if plain.moves else _exported(policy_racer(model))
 
@@ -217,7 +219,8 @@ def _named(name: str) -> OnnxNetwork:
         raise UnknownNameError(f"there is no network {name!r}; {choices(name, known)}")
     if found != LIDAR_FORMAT.noun:
         raise wrong_kind(folder, found, [LIDAR_FORMAT.noun])
-    return lidar_network(folder)
+    name, layers = lidar_ppo.read_lidar_planner(folder)
+    return lidar_network(name, [*layer_steps(layers, "Relu"), ("Tanh",)])
 
 
 # Models of Stable-Baselines3

@@ -139,6 +139,11 @@ class _ScoresCandidates:
                 f"{type(self).__name__} got observations of shape {found[0]} and {found[1]}"
                 f" choices; it learns in pcs_racing/Line-v0, where they are {seen} and {acts}"
             )
+        for name in ("net_arch", "activation_fn", "features_extractor_class"):
+            if name in given:
+                raise InputError(
+                    f"{name} is {given[name]!r:.80}; {type(self).__name__} has its own"
+                )
         super().__init__(observation_space, action_space, *arguments, **given)  # type: ignore[call-arg]
 
     def _build(self, lr_schedule: Any) -> None:

@@ -200,10 +200,11 @@ def arc_policy(
     Networks with the same layers share a planner, whose parameters are their numbers: nothing is
     compiled for a network that changes. The arguments are as in :meth:`DenseLayers.forward`.
     """
-    if (layers.sizes[0], layers.sizes[-1]) != (SEEN, 2):
+    sizes = getattr(layers, "sizes", (0,))
+    if (sizes[0], sizes[-1]) != (SEEN, 2):
         raise InputError(
-            f"{name} has layers of sizes {layers.sizes}; from sectors to an arc they are {SEEN} to"
-            " 2"
+            f"{name} has layers of sizes {sizes}; from sectors to an arc they are DenseLayers of"
+            f" {SEEN} to 2"
         )
     return _numbered(layers.sizes, tanh, squash).policy(layers.flat().astype(np.float64), name)
 

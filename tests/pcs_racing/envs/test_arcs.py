@@ -89,8 +89,8 @@ def test_a_state_continues_a_race_with_its_last_scans():
     [
         ({"action": "arc"}, "action is 'arc' and observation 'map'"),
         ({"observation": "sectors"}, "'arc' and 'sectors' belong together"),
-        (TASK | {"time_step": 0.2}, "time_step is 0.2, .* with arcs they are 0.1, True and 0"),
-        (TASK | {"beams": 9}, "beams 9"),
+        (TASK | {"time_step": 0.2}, "time_step is 0.2; with arcs it is 0.1"),
+        (TASK | {"top_speed": 4.0}, "top_speed is 4.0; with arcs it is 8.0"),
         ({"action": "arcs"}, "arcs"),
     ],
 )
@@ -110,5 +110,9 @@ def test_a_model_of_stable_baselines3_races_by_arcs(tmp_path):
     np.testing.assert_array_equal(policies[0].parameters, policies[1].parameters)
     track = load_track("Pipkin")
     assert np.isfinite(run_races(track, policies, "lattice", "contest").lead).all()
+    pytest.importorskip("onnx")
+    from pcs_racing_agents.agents import export_onnx
+
+    assert export_onnx(model, tmp_path / "model.onnx").is_file()
     layers = DenseLayers((np.zeros((2, 41)),), (np.zeros(2),))
     refused("sizes .* from sectors", arc_policy, layers)

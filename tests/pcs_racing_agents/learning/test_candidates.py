@@ -1,5 +1,7 @@
 """Policies that score candidates: first the lattice, line-ppo with its weights, always racers."""
 
+import pickle
+
 import numpy as np
 import pytest
 from refusal import refused
@@ -88,6 +90,16 @@ def test_other_spaces_policies_and_files_are_refused_by_one_line(models, tmp_pat
     for given in (plain, str(tmp_path / "plain.zip")):
         refused("another policy than CandidatePolicy", racer, given)
     refused("no ONNX file", export_onnx, models["plain"], tmp_path / "model.onnx")
+    models["plain"].save(tmp_path / "model.zip")
+    bold = make_sb3_vec_env("line", 2, track="Pipkin", style={"risk": 1.0})
+    moved = stable.PPO.load(tmp_path / "model.zip", env=bold)
+    refused("set model.observation_space", racer, moved)
+    moved.observation_space = bold.observation_space
+    assert racer(moved).parameters[0] == 1.0
+    own = {"policy_kwargs": {"net_arch": [32]}}
+    refused("net_arch is .* has its own", stable.PPO, CandidatePolicy, bold, **SMALL, **own)
+    for tensors, style in ((None, None), ({}, 3), ({"score.bias": "x"}, None)):
+        refused("line-network: ", network_policy, tensors, style=style)
 
 
 def test_a_frozen_copy_is_replaced_for_later_races():
@@ -97,6 +109,7 @@ def test_a_frozen_copy_is_replaced_for_later_races():
     envs.set_opponent_weights([1.0, 1e-9])
     envs.reset(seed=1)
     np.testing.assert_array_equal(envs.batch.theta[:, 1], [later.parameters] * 2)
+    envs.set_opponent(0, pickle.loads(pickle.dumps(first)))
     refused("index is 2", envs.set_opponent, 2, later)
     refused("only another policy of .* can replace it", envs.set_opponent, 1, later)
 
