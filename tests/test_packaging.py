@@ -247,13 +247,3 @@ def test_addresses_of_the_project_are_the_addresses_of_its_metadata(name):
     )
     assert found
     assert all(link.startswith(known) for link in found)
-
-
-def test_the_paper_is_short_and_cites_entries_of_its_bibliography():
-    paper = (REPOSITORY / "dev" / "joss" / "paper.md").read_text(encoding="utf-8")
-    _, head, body = paper.split("---\n", 2)
-    assert yaml.safe_load(head)["bibliography"] == "paper.bib"
-    assert len(body.split()) <= 900
-    entries = (REPOSITORY / "dev" / "joss" / "paper.bib").read_text(encoding="utf-8")
-    cited = set(re.findall(r"@([a-z]+\w*\d{4}\w*)", body))
-    assert cited == set(re.findall(r"^@\w+\{(\w+),", entries, re.MULTILINE))

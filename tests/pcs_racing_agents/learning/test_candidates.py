@@ -68,11 +68,10 @@ def test_with_the_weights_of_line_ppo_it_drives_as_line_ppo():
 def test_a_model_and_its_zip_race_in_the_style_of_the_training(models, kind, tmp_path):
     save_model(tmp_path / "model.zip", models[kind])
     for made in (racer(models[kind]), racer(str(tmp_path / "model.zip"))):
-        wanted = models[kind].policy.action_net.tensors()
-        policy = network_policy(wanted, style={"pace": 1.0, "risk": 0.1})
+        own = models[kind].policy.action_net.tensors()
+        policy = network_policy(own, style={"pace": 1.0, "risk": 0.1})
         np.testing.assert_allclose(made.parameters, policy.parameters, atol=1e-12)
-    result = run_races(load_track("Pipkin"), [made] * 2, "lattice", "contest")
-    assert np.isfinite(result.lead).all()
+    assert np.isfinite(run_races(load_track("Pipkin"), [made] * 2, "lattice", "contest").lead).all()
     loaded = KINDS[kind][0].load(tmp_path / "model.zip")
     np.testing.assert_array_equal(racer(loaded).parameters, made.parameters)
 
@@ -96,8 +95,8 @@ def test_other_spaces_policies_and_files_are_refused_by_one_line(models, tmp_pat
     refused("set model.observation_space", racer, moved)
     moved.observation_space = bold.observation_space
     assert racer(moved).parameters[0] == 1.0
-    own = {"policy_kwargs": {"net_arch": [32]}}
-    refused("net_arch is .* has its own", stable.PPO, CandidatePolicy, bold, **SMALL, **own)
+    own = SMALL | {"policy_kwargs": {"net_arch": [32]}}
+    refused("net_arch is .* has its own", stable.PPO, CandidatePolicy, bold, **own)
     for tensors, style in ((None, None), ({}, 3), ({"score.bias": "x"}, None)):
         refused("line-network: ", network_policy, tensors, style=style)
 
