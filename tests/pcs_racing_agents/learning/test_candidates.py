@@ -102,7 +102,9 @@ def test_other_spaces_policies_and_files_are_refused_by_one_line(models, tmp_pat
 
 
 def test_a_frozen_copy_is_replaced_for_later_races():
-    first, later = (network_policy(network.tensors()) for network in random_networks(2))
+    first, later = (
+        network_policy(network.tensors()) for network in (CandidateNetwork(), CandidateNetwork())
+    )
     envs = LineVectorEnv(2, opponent=[first, "lattice"], track="Pipkin")
     envs.set_opponent(0, later)
     envs.set_opponent_weights([1.0, 1e-9])
@@ -111,11 +113,3 @@ def test_a_frozen_copy_is_replaced_for_later_races():
     envs.set_opponent(0, pickle.loads(pickle.dumps(first)))
     refused("index is 2", envs.set_opponent, 2, later)
     refused("only another policy of .* can replace it", envs.set_opponent, 1, later)
-
-
-def random_networks(count):
-    """Make networks whose last layers are not 0."""
-    made = [CandidateNetwork() for _ in range(count)]
-    for network in made:
-        torch.nn.init.normal_(network.score.weight)
-    return made

@@ -10,7 +10,14 @@ from scipy.optimize import minimize
 
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import RaceRow, RaceTable
-from pcs_racing_agents.tournament.ratings import excess, max_entropy_equilibrium, rate, round_robin
+from pcs_racing_agents.tournament.ratings import (
+    BATCH,
+    _bootstrap,
+    excess,
+    max_entropy_equilibrium,
+    rate,
+    round_robin,
+)
 
 NAMES = ("a", "b", "c", "d", "e")
 STRENGTH = np.array([1.0, 0.4, 0.0, -0.4, -1.0])
@@ -118,6 +125,8 @@ def test_intervals_repeat_and_know_of_shared_races():
         rate(one, rng=np.random.default_rng(5), replicates=200) for one in (races, races, apart)
     )
     assert (alone.low == again.low).all()
+    draws = _bootstrap(np.arange(4), BATCH + 30, rng)
+    assert len([row for batch in draws for row in batch]) == BATCH + 30
     # Of two lines each replicate has one twice or both once: a fit of each is in the interval's
     # ends.
     two = raced(["a"] * 6, ["b"] * 6, [1, 1, 1, -1, -1, 1], line=[1, 1, 1, 2, 2, 2])

@@ -117,6 +117,17 @@ def test_intervals_are_robust_to_places_and_policies(mixed):
     assert (twice[0], twice[2]) == pytest.approx((mean, high))
 
 
+@pytest.mark.parametrize("shared", ["ego_variant", "start_s"])
+def test_more_races_of_the_same_start_policy_or_place_are_no_more_evidence(shared):
+    other, width = {"ego_variant": "start_s", "start_s": "ego_variant"}[shared], []
+    for copies in (4, 8):
+        ends = [(k, j, "ego" if k % 3 else "opponent") for k in range(6) for j in range(copies)]
+        rows = [race("a", "b", winner=end, **{shared: k, other: 9 * k + j}) for k, j, end in ends]
+        _, low, high = clustered_score(races := race_table(rows), races.score)
+        width.append(high - low)
+    assert width[0] == pytest.approx(width[1], rel=0.02)
+
+
 def test_a_no_contest_scores_nothing_and_an_undecided_tournament_has_no_rating(tournament):
     rows = [race("a", "b", crash="car", fault="both"), race("a", "b", crash="wall", fault="ego")]
     result = played(*rows, rules=load_rules("paper"))
