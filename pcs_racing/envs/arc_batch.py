@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.envs.batch import BatchStep, Generators
 from pcs_racing.envs.drive_batch import BEAM_US, SCAN_US, DriveBatch
-from pcs_racing.envs.drive_kernel import Buffers, Eyes, drive_on, make_buffers
+from pcs_racing.envs.drive_kernel import Buffers, Eyes, Orders, make_buffers
 from pcs_racing.planners.field.lidar_ppo import (
     MEMORY,
     SECTORS,
@@ -74,18 +75,9 @@ def observe_sectors(inputs, races, eyes, rows, first, last, buffers, out):
             row += 1
 
 
-@kernel
-def step_arcs(inputs, races, orders, first, last, buffers, results):
-    """Step races ``first`` to ``last - 1``: drive by the arcs, then reward and observe."""
-    if orders.ticks > 0:
-        lay_arcs(inputs, races, orders.actions, first, last, buffers)
-    drive_on(inputs, races, orders, first, last, buffers, results)
-
-
 class ArcBatch(DriveBatch):
     """Batch of races; agents choose arcs for the first ``players`` cars of each race."""
 
-    step_kernel: ClassVar[Any] = step_arcs
     observe_kernel: ClassVar[Any] = observe_sectors
     driver: ClassVar[Planner | None] = AGENT
 
@@ -102,3 +94,15 @@ class ArcBatch(DriveBatch):
     def _command(self, actions: NDArray[np.float64]) -> None:
         for first, last in runs_of(self._inputs):
             lay_arcs(self._inputs[first], self.races, actions, first, last, self._buffers[0])
+
+    def _orders(self, actions: NDArray[np.float64], ticks: int) -> Orders:
+        orders: Orders = super()._orders(
+            actions[:, :0].copy(), ticks
+        )  # no commands beside the arcs
+        return orders
+
+    def step(self, actions: NDArray[np.float64], generators: Generators = ()) -> BatchStep:
+        """Advance every race by one step."""
+        if not self._in_python:
+            self._command(actions)
+        return super().step(actions, generators)

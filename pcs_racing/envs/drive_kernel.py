@@ -486,23 +486,17 @@ def _end_step(state, end_tick, terms, players, results, first, last):
             results.reward[race * players + car] = step_reward(own, rival, blamed, terms.weights)
 
 
-@inner_kernel
-def drive_on(inputs, races, orders, first, last, buffers, results):
-    """Drive races ``first`` to ``last - 1`` by the commands given, then reward and observe."""
+@kernel
+def step_races(inputs, races, orders, first, last, buffers, results):
+    """Step races ``first`` to ``last - 1``: drive, then reward and observe."""
     track, settings, sight = inputs
+    set_commands(orders.actions, orders.limits, races, first, last)
     own = Scratch(buffers.scratch, buffers.work)
     _call(orders.advance, (track, races, settings, orders.crew, orders.ticks, first, last, own))
     _end_step(races.state, settings.end_tick, orders.terms, sight.players, results, first, last)
     rows = orders.rows[first:last]
     out = results.observations[first * sight.players : last * sight.players]
     _call(orders.observe, (inputs, races, orders.eyes, rows, 0, sight.players, buffers, out))
-
-
-@kernel
-def step_races(inputs, races, orders, first, last, buffers, results):
-    """Step races ``first`` to ``last - 1``: drive by the actions, then reward and observe."""
-    set_commands(orders.actions, orders.limits, races, first, last)
-    drive_on(inputs, races, orders, first, last, buffers, results)
 
 
 def eyes_for(inputs: Inputs, races: Races, buffers: Buffers, moving: bool) -> Eyes:
