@@ -7,7 +7,7 @@ One file, in the style of CleanRL. The network leads from the sectors of a lidar
 the cars race each other; the other half race planners and frozen copies of the network. Every few
 minutes the averaged network races planners on circuits that it does not learn on; the best one is
 kept. curves.csv, curves.png and TensorBoard's events show the progress. The same command goes on
-after a stop. docs/ppo.md has results.
+after a stop.
 """
 
 import argparse
@@ -44,7 +44,7 @@ TRACKS = (
     "Quillburg",
     "Tarnfjord",
 )
-"""Circuits to learn on, beside random ones."""
+"""Circuits of the training; random ones are added."""
 HELD_OUT = ("Larkmoor", "Saltmere", "Vellindra")
 """Circuits of the evaluations."""
 TESTS = ("pure-pursuit", "gap-follower", "lattice")
@@ -80,7 +80,7 @@ KL, MAX_KL, MAX_RATE, KEPT = 0.01, 0.04, 2e-3, 0.9
 share of the averaged weights that an update keeps.
 """
 SIZES = (230, 128, 128, 2)
-"""Sizes of the actor's layers, those of `lidar-ppo`."""
+"""Sizes of the actor's layers, as in `lidar-ppo`."""
 SPREAD = (0.3, 0.6)
 """First standard deviations of turn and push."""
 
@@ -142,7 +142,7 @@ class Races:
 
 @torch.no_grad()
 def collect(learner: Learner, races: Races, seen: np.ndarray) -> tuple[dict[str, Tensor], Any]:
-    """Drive for `STEPS`; return the actions with advantages and returns, and what is seen then."""
+    """Drive for `STEPS`; return actions with advantages and returns, and the last observations."""
     steps = []
     for _ in range(STEPS):
         now = torch.from_numpy(seen)

@@ -7,7 +7,7 @@ One file, in the style of CleanRL. The network begins level with the lattice. Ha
 each other with drawn styles; the other half, in the default style, race planners and frozen copies
 of the network. Every few minutes the averaged network races planners on circuits that it does not
 learn on; the best one is kept. curves.csv, curves.png and TensorBoard's events show the progress.
-The same command goes on after a stop. docs/ppo.md has results.
+The same command goes on after a stop.
 """
 
 import argparse
@@ -46,7 +46,7 @@ TRACKS = (
     "Quillburg",
     "Tarnfjord",
 )
-"""Circuits to learn on, beside random ones."""
+"""Circuits of the training; random ones are added."""
 HELD_OUT = ("Larkmoor", "Saltmere", "Vellindra")
 """Circuits of the evaluations."""
 TESTS = ("lattice", "iterated-best-response", "pure-pursuit", "gap-follower")
@@ -135,7 +135,7 @@ class Races:
 
 @torch.no_grad()
 def collect(learner: Learner, races: Races, seen: np.ndarray) -> tuple[dict[str, Tensor], Any]:
-    """Drive for `STEPS`; return the choices with advantages and returns, and what is seen then."""
+    """Drive for `STEPS`; return choices with advantages and returns, and the last observations."""
     steps = []
     for _ in range(STEPS):
         now = torch.from_numpy(seen)

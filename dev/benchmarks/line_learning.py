@@ -83,7 +83,7 @@ def main() -> None:
     add("--steps", type=int, default=15_000_000, help="choices")
     add("--envs", type=int, default=512)
     add("--races", type=int, default=200, help="test races on each circuit")
-    add("--random", type=int, default=40, help="random circuits beside the shipped ones")
+    add("--random", type=int, default=40, help="number of random circuits in addition")
     add("--out", type=Path, default=Path("out/line.zip"))
     given = parser.parse_args()
     torch.set_num_threads(1)

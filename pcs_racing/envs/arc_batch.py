@@ -40,8 +40,7 @@ def lay_arcs(inputs, races, actions, first, last, buffers):
             fill_view(track, state, race, car, races.vehicles[race], settings, view)
             memory = state.memory[race, car]
             remember(memory, memory[MEMORY : MEMORY + SECTORS])
-            turn = min(max(actions[race, car, 0], -1.0), 1.0)
-            push = min(max(actions[race, car, 1], -1.0), 1.0)
+            turn, push = actions[race, car, 0], actions[race, car, 1]
             lay_command(view, 1.0, memory, turn, push, state.path[race, car])
 
 
@@ -96,9 +95,8 @@ class ArcBatch(DriveBatch):
             lay_arcs(self._inputs[first], self.races, actions, first, last, self._buffers[0])
 
     def _orders(self, actions: NDArray[np.float64], ticks: int) -> Orders:
-        orders: Orders = super()._orders(
-            actions[:, :0].copy(), ticks
-        )  # no commands beside the arcs
+        nothing = actions[:, :0].copy()  # the arcs are all the commands
+        orders: Orders = super()._orders(nothing, ticks)
         return orders
 
     def step(self, actions: NDArray[np.float64], generators: Generators = ()) -> BatchStep:

@@ -80,7 +80,7 @@ class LineBatch(DriveBatch):
             for end in ("low", "high")
         )
         seen, acts = spaces.Box(low, high, dtype=np.float32), spaces.Discrete(CANDIDATES)
-        # A model races in the default style, as far as it was among those of the training.
+        # A model races in the default style, within the ranges of its training.
         style = np.clip(DEFAULT_STYLE, *self.styles.T)
         names = (one.name for one in PARAMETERS)
         about = {"style": dict(zip(names, style.tolist(), strict=True))}

@@ -150,7 +150,7 @@ def calibrate(
             f"track {track.name!r}: at speed scale {scales[0]:.2f} a car alone crashes in"
             f" {hazard[0]:.0%} of 40 s; widen the track or lower steering_noise"
         )
-    high = min(_crossing(scales, hazard, allowed), FRICTION_SCALE)
+    high = _highest(hazard, allowed)
     width = WIDTH_WITH_NOISE if noisy else WIDTH_WITHOUT_NOISE
 
     def settings_at(step: int) -> KernelSettings:
@@ -184,12 +184,10 @@ def calibrate(
 
 def find_speed_range(track: Track, rules: Rules, *, threads: int = 1) -> tuple[float, float]:
     """Return the speed range of a circuit for rules with noise, by short test drives: a second."""
-    scales = np.array(SCALES)
     hazard = hazard_scan(
-        track, rules, SCALES, cars=40, seconds=20.0, enough=HAZARD_WITH_NOISE, threads=threads
+        track, rules, cars=40, seconds=20.0, enough=HAZARD_WITH_NOISE, threads=threads
     )
-    hazard = np.maximum.accumulate(hazard)
-    high = min(_crossing(scales[: len(hazard)], hazard, HAZARD_WITH_NOISE), FRICTION_SCALE)
+    high = _highest(np.maximum.accumulate(hazard), HAZARD_WITH_NOISE)
     return round(high - WIDTH_WITH_NOISE, 2), round(high, 2)
 
 
@@ -212,6 +210,12 @@ def _spacings(rules: Rules) -> list[float]:
         for spacing in spacings
         if spacing >= NARROWEST[rules.start] or spacing == rules.start_spacing
     ]
+
+
+def _highest(hazard: NDArray[np.float64], allowed: float) -> float:
+    """Highest allowed scale of a scan of `SCALES`, within the friction of the tyres."""
+    scales = np.array(SCALES[: len(hazard)])
+    return min(_crossing(scales, hazard, allowed), FRICTION_SCALE)
 
 
 def _crossing(scales: NDArray[np.float64], hazard: NDArray[np.float64], level: float) -> float:

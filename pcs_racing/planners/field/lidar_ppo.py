@@ -128,8 +128,9 @@ def max_curvature(v):
 
 @compiled
 def lay_command(view, share, memory, turn, push, path):
-    """Write the path of a command: ``turn`` and ``push``, both from -1 to 1; remember it."""
+    """Write the path of a command: ``turn`` and ``push``, clipped to -1 and 1; remember it."""
     use_odometry(view)
+    turn, push = min(max(turn, -1.0), 1.0), min(max(push, -1.0), 1.0)
     memory[1], memory[2] = turn, push
     v = view[_view.OWN_V] / share
     kappa = turn * max_curvature(v)
@@ -175,7 +176,6 @@ def _numbered(sizes: tuple[int, ...], tanh: bool, squash: bool) -> Planner:
         turn, push = (x[0], x[1]) if even else (y[0], y[1])
         if squash:
             turn, push = hyperbolic_tangent(turn), hyperbolic_tangent(push)
-        turn, push = min(max(turn, -1.0), 1.0), min(max(push, -1.0), 1.0)
         lay_command(view, 1.0, memory, turn, push, path)
 
     numbers = (
