@@ -25,7 +25,9 @@ SMALL = {
     "race_speed": ("--track Pipkin --races 2", "ms"),
     "sb3_speed": ("--steps 64", "limit by the products"),
     "scan_speed": ("--track Pipkin", "us"),
-    **dict.fromkeys(("circuits", "record", "solver_speed", "start_time", "zoo"), HELP),
+    **dict.fromkeys(
+        ("circuits", "line_learning", "record", "solver_speed", "start_time", "zoo"), HELP
+    ),
 }
 
 
