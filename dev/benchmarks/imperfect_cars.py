@@ -25,13 +25,16 @@ CARS = {
     "perfect": {},
     "Pacejka tyres": {"tyres": "pacejka"},
     "steering lag .1 s": {"steer_lag": 0.1},
+    "speed lag .2 s": {"speed_lag": 0.2},
+    "steering 40 ms late": {"steer_delay": 0.04},
+    "speed 100 ms late": {"speed_delay": 0.1},
     "opponent 100 ms late": {"opponent_delay": 0.1},
     "localisation noise .1 m": {"pose_noise": 0.1},
     "10 % of the beams lost": {"lidar_lost": 0.1},
 }
 """Changes of the own car."""
 PLANNERS = (
-    *("line-ppo", "line-ppo-robust", "lidar-ppo", "lattice", "lattice:early"),
+    *("line-ppo", "lidar-ppo", "lattice", "lattice:early"),
     *("pure-pursuit", "gap-follower"),
 )
 RIVALS = ("lattice:early", "pure-pursuit")
@@ -87,14 +90,11 @@ class Races:
         return np.load(file)
 
 
-def estimate(found: Sequence[np.ndarray], column: int, shares: bool = True) -> str:
-    """Return the mean of a column, with its interval: of shares, or of differences of shares."""
+def estimate(found: Sequence[np.ndarray], column: int) -> str:
+    """Return the mean of a column of shares, with its interval."""
     labels = [f"{k} {line}" for k, rows in enumerate(found) for line in rows[:, LINE]]
     mean = clustered_mean(np.concatenate(found)[:, column], labels)
-    low, high = mean.low, mean.high
-    if shares:
-        low, high = max(low, 0.0), min(high, 1.0)
-    return f"{mean.mean:.3f} [{low:.3f}, {high:.3f}]"
+    return f"{mean.mean:.3f} [{max(mean.low, 0.0):.3f}, {min(mean.high, 1.0):.3f}]"
 
 
 def maps_of(names: Sequence[str]) -> Path:
@@ -122,7 +122,6 @@ def main() -> None:
     kept = Races(arguments.out, maps_of(REAL), arguments.threads)
     print("| planner | car | score [95 %] | own crashes [95 %] | races |")
     print("|---|---|---|---|---|")
-    rows = {}
     for planner in arguments.planners:
         for name, changes in CARS.items():
             # Tyres are the same for both cars: with others the races show the grip alone.
@@ -136,17 +135,11 @@ def main() -> None:
                 )
                 for track in TRACKS
             ]
-            rows[planner, name] = found
             print(
                 f"| {planner} | {name} | {estimate(found, WON)} | {estimate(found, OWN)}"
                 f" | {sum(map(len, found))} |",
                 flush=True,
             )
-    for name in CARS if {"line-ppo", "line-ppo-robust"} <= set(arguments.planners) else ():
-        plain, robust = (np.array(rows[one, name]) for one in ("line-ppo", "line-ppo-robust"))
-        gain = robust - plain  # the same starts and noise
-        gain[..., LINE] = plain[..., LINE]
-        print(f"line-ppo-robust minus line-ppo, {name}: {estimate(list(gain), WON, False)}")
 
 
 if __name__ == "__main__":

@@ -291,12 +291,9 @@ FORZAETH_NUC2 = VehicleParams(
     c_r=1.5,
     d_r=0.618418,
     e_r=0.0,
+    steer_lag=0.158,
 )
-"""Car NUC2 of ForzaETH's race_stack (``NUC2_pacejka.yaml``), with the F1TENTH car's limits.
-
-The published time constant of its steering is left out (``steer_lag``, 0.158 s): the planners do
-not know of it, and crash.
-"""
+"""Car NUC2 of ForzaETH's race_stack (``NUC2_pacejka.yaml``), with the F1TENTH car's limits."""
 
 VEHICLES = {
     "f1tenth": F1TENTH,

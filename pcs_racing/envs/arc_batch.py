@@ -13,6 +13,7 @@ from pcs_racing.planners.field.lidar_ppo import (
     MEMORY,
     SECTORS,
     SEEN,
+    held_share,
     lay_command,
     observe,
     remember,
@@ -41,7 +42,7 @@ def lay_arcs(inputs, races, actions, first, last, buffers):
             memory = state.memory[race, car]
             remember(memory, memory[MEMORY : MEMORY + SECTORS])
             turn, push = actions[race, car, 0], actions[race, car, 1]
-            lay_command(view, 1.0, memory, turn, push, state.path[race, car])
+            lay_command(view, held_share(view), memory, turn, push, state.path[race, car])
 
 
 @inner_kernel
@@ -53,7 +54,7 @@ def _see(inputs, races, race, car, scratch, out):
         memory = scratch[_MEMORY:_SCRATCH]
         memory[:] = 0.0
     fill_view(track, state, race, car, races.vehicles[race], settings, view)
-    observe(track, view, 1.0, memory, scratch, seen)
+    observe(track, view, held_share(view), memory, scratch, seen)
     for k in range(SEEN):
         number = min(max(seen[k], sight.low[k]), sight.high[k])
         out[k] = np.float32(number * sight.gain[k] + sight.shift[k])

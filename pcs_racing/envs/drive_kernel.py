@@ -446,10 +446,10 @@ def set_commands(actions, limits, races, first, last):
             if now:
                 # Late commands follow the period of their queue.
                 if vehicles[race, car, _vehicle.SPEED_DELAY] == 0.0:
-                    v = state.cars[race, car, _vehicle.V]
-                    speed = slowed(memory[1], state.handicap[race, car], v)
+                    v, own = state.cars[race, car, _vehicle.V], vehicles[race, car]
+                    speed = slowed(memory[1], state.handicap[race, car], v, own)
                     command[1] = disturbed_speed(
-                        speed, vehicles[race, car], state.seed[race], car, state.tick[race]
+                        speed, own, state.seed[race], car, state.tick[race]
                     )
                 if vehicles[race, car, _vehicle.STEER_DELAY] == 0.0:
                     command[0] = memory[0] + state.disturbance[race, car]

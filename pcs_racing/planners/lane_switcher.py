@@ -33,7 +33,7 @@ from pcs_racing.planners.line import (
     within_walls,
 )
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.pursuit import calm_speed, pursuit_arc, write_point
+from pcs_racing.planners.pursuit import calm_speed, limited_steering, pursuit_arc, write_point
 from pcs_racing.track import frenet as _frenet
 
 PARAMETERS = (
@@ -267,7 +267,7 @@ def control(track, theta, view, memory, scratch, path, command):
     speed = _speed(track, theta, view, memory, s0 + SPEED_PREVIEW * v)
     command[1], acceleration = calm_speed(view, speed)
     steer += (view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration) * v * v * kappa
-    command[0] = min(max(steer, -STEER_LIMIT), STEER_LIMIT)
+    command[0] = limited_steering(view, min(max(steer, -STEER_LIMIT), STEER_LIMIT))
 
 
 def _variants() -> dict[str, tuple[float, ...]]:

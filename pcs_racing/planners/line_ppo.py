@@ -636,8 +636,8 @@ def load_line_planner(source: str | Path = NAME) -> Planner:
 
 
 def __getattr__(name: str) -> Any:
-    """Return a shipped planner, ``LINE_PPO`` or ``LINE_PPO_ROBUST``, loaded at its first use."""
-    if name not in ("LINE_PPO", "LINE_PPO_ROBUST"):
+    """Return the shipped planner ``LINE_PPO``, loaded at its first use."""
+    if name != "LINE_PPO":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = load_line_planner(name.lower().replace("_", "-"))
+    globals()[name] = load_line_planner()
     return globals()[name]

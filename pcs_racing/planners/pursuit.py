@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.compilation import kernel
-from pcs_racing.base.elementary import arctangent, sine_cosine
+from pcs_racing.base.elementary import arctangent, exponential, sine_cosine
+from pcs_racing.car.vehicle import COMMAND_PERIOD
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.calling import control_address, plan_address
 
@@ -52,14 +53,25 @@ def steady_course(view, kappa):
 
 
 @kernel(forceinline=True)
+def place_of_command(view):
+    """Return the place (m) at which a steering command arrives, and the turn (rad) until then."""
+    delay, turn = view[_view.STEER_DELAY], view[_view.OWN_PSI_DOT] * view[_view.STEER_DELAY]
+    if delay == 0.0:
+        return view[_view.OWN_X], view[_view.OWN_Y], 0.0
+    sine, cosine = sine_cosine(view[_view.OWN_PSI] + view[_view.OWN_BETA] + 0.5 * turn)
+    way = view[_view.OWN_V] * delay
+    return view[_view.OWN_X] + way * cosine, view[_view.OWN_Y] + way * sine, turn
+
+
+@kernel(forceinline=True)
 def pursuit_arc(view, x, y, kappa):
     """Return the curvature (1/m) of the arc to a point (m).
 
-    The arc starts along `steady_course` in a bend ``kappa`` (1/m).
+    The arc starts where the command arrives, along `steady_course` in a bend ``kappa`` (1/m).
     """
-    dx = x - view[_view.OWN_X]
-    dy = y - view[_view.OWN_Y]
-    sine, cosine = sine_cosine(steady_course(view, kappa))
+    own_x, own_y, turn = place_of_command(view)
+    dx, dy = x - own_x, y - own_y
+    sine, cosine = sine_cosine(steady_course(view, kappa) + turn)
     return 2.0 * (dy * cosine - dx * sine) / max(dx * dx + dy * dy, 1e-6)
 
 
@@ -78,6 +90,19 @@ def pursuit_steering(view, x, y, kappa, acceleration):
         arctangent(view[_view.WHEELBASE] * arc)
         + understeer * view[_view.OWN_V] * view[_view.OWN_V] * kappa
     )
+    return limited_steering(view, steer)
+
+
+@kernel(forceinline=True)
+def limited_steering(view, steer):
+    """Return the command (rad) for a steering angle, within the own limits.
+
+    A servo with a lag covers a share of the missing angle until the next command; so it is sent
+    farther by that share, and arrives then, as a servo without a lag would.
+    """
+    lag, delta = view[_view.STEER_LAG], view[_view.OWN_DELTA]
+    if lag > 0.0:
+        steer = delta + (steer - delta) / (1.0 - exponential(-COMMAND_PERIOD / lag))
     return min(max(steer, -view[_view.STEER_MAX]), view[_view.STEER_MAX])
 
 
@@ -91,12 +116,12 @@ def within_grip(view, acceleration):
 def calm_speed(view, speed):
     """Return the target speed, limited to stable braking, and the acceleration that it commands.
 
-    The controller brakes by 10 times the speed error. Beyond about 6 m/s^2 the unloaded rear axle
-    loses grip. A car with a handicap drives its share of the target speed.
+    The car brakes by its speed error over its time constant. Beyond about 6 m/s^2 the unloaded rear
+    axle loses grip. A car with a handicap drives its share of the target speed.
     """
-    v, share = view[_view.OWN_V], 1.0 - view[_view.HANDICAP]
-    speed = max(speed, (v - 0.1 * BRAKING) / share)
-    return speed, min(10.0 * (share * speed - v), 9.5)
+    v, share, lag = view[_view.OWN_V], 1.0 - view[_view.HANDICAP], view[_view.SPEED_LAG]
+    speed = max(speed, (v - lag * BRAKING) / share)
+    return speed, min(1.0 / lag * (share * speed - v), 9.5)
 
 
 @kernel(forceinline=True)
@@ -114,10 +139,9 @@ def follow_path(track, theta, view, memory, scratch, path, command):
     """Follow the planned path by pure pursuit (the default ``control``).
 
     The look-ahead grows from 0.3 m by 0.1 m per m/s. The speed is the path's speed at the point
-    reached in a tenth of a second.
+    reached within the time constant of the car's speed, 0.1 s unless it is another car.
     """
-    x = view[_view.OWN_X]
-    y = view[_view.OWN_Y]
+    x, y, _ = place_of_command(view)
     v = view[_view.OWN_V]
     last = path.shape[0] - 1
     # The path starts at the car's position at planning time; skip the points behind the car.
@@ -130,7 +154,7 @@ def follow_path(track, theta, view, memory, scratch, path, command):
         near = there
         i += 1
     reach = 0.3 + 0.1 * v
-    preview = 0.1 * v
+    preview = view[_view.SPEED_LAG] * v
     goal_x = path[last, _view.PATH_X]
     goal_y = path[last, _view.PATH_Y]
     kappa = path[last, _view.PATH_KAPPA]

@@ -21,7 +21,6 @@ SHIPPED = {
     "lattice": "pcs_racing.planners.lattice:LATTICE",
     "lidar-ppo": "pcs_racing.planners.field.lidar_ppo:LIDAR_PPO",
     "line-ppo": "pcs_racing.planners.line_ppo:LINE_PPO",
-    "line-ppo-robust": "pcs_racing.planners.line_ppo:LINE_PPO_ROBUST",
     "mppi": "pcs_racing.planners.field.mppi:MPPI",
     "predictive-spliner": "pcs_racing.planners.field.predictive_spliner:PREDICTIVE_SPLINER",
     "pure-pursuit": "pcs_racing.planners.field.pure_pursuit:PURE_PURSUIT",

@@ -298,13 +298,10 @@ def _ask_python_drivers(
             state.command[rows[prompt], car, 1] = given[prompt, 1]
             changed = (cars[rows, car, SPEED_NOISE] > 0.0) | (state.handicap[rows, car] > 0.0)
             for row in rows[prompt & changed]:
-                v = state.cars[row, car, V]
+                v, vehicle = state.cars[row, car, V], cars[row, car]
+                speed = slowed(state.memory[row, car, 1], state.handicap[row, car], v, vehicle)
                 state.command[row, car, 1] = disturbed_speed(
-                    slowed(state.memory[row, car, 1], state.handicap[row, car], v),
-                    cars[row, car],
-                    state.seed[row],
-                    car,
-                    state.tick[row],
+                    speed, vehicle, state.seed[row], car, state.tick[row]
                 )
             now &= cars[rows, car, STEER_DELAY] == 0.0
             state.command[rows[now], car, 0] = given[now, 0] + state.disturbance[rows[now], car]

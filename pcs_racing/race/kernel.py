@@ -181,6 +181,9 @@ def _fill_fixed(own, settings, usable, handicap, view):
     view[_view.REAR_SLIP] = 1.0 / (grip * rear)
     view[_view.REAR_AXLE] = own[_vehicle.LR]
     view[_view.GRIP_USE] = 1.0 / usable
+    view[_view.STEER_LAG] = own[_vehicle.STEER_LAG]
+    view[_view.SPEED_LAG] = own[_vehicle.SPEED_LAG]
+    view[_view.STEER_DELAY] = own[_vehicle.STEER_DELAY] * _vehicle.COMMAND_PERIOD
     # A car whose tyres give less than the bends ask for at pace 1 drives all paces slower.
     share = min(np.sqrt(usable / LATERAL_OF_PROFILE) / settings.speed_high, 1.0)
     view[_view.SPEED_LOW] = share * settings.speed_low
@@ -537,7 +540,7 @@ def _command(drivers, track, races, settings, parts, race, place, buffers):
             state.disturbance[race, car] = settings.noise_keep * state.disturbance[race, car] + draw
             command[0] += state.disturbance[race, car]
         v = state.cars[race, car, _vehicle.V]
-        command[1] = slowed(command[1], state.handicap[race, car], v)
+        command[1] = slowed(command[1], state.handicap[race, car], v, vehicles[car])
         if parts.send != 0:
             _call_part(parts.send, (track, state, vehicles, settings, race, car, command))
         set_target(work, lane, command[0], command[1])

@@ -12,12 +12,12 @@ _SPEED_KEY = np.uint64(0xDA942042E4DD58B5)  # makes the noise of the speed anoth
 
 
 @kernel(forceinline=True)
-def slowed(speed, handicap, v):
+def slowed(speed, handicap, v, vehicle):
     """Return the speed command (m/s) that a slower car at a speed ``v`` gets, by its handicap.
 
     A command of calm braking (:func:`pcs_racing.planners.pursuit.calm_speed`) stays one.
     """
-    return min(speed, max((1.0 - handicap) * speed, v - 0.1 * BRAKING))
+    return min(speed, max((1.0 - handicap) * speed, v - vehicle[_vehicle.SPEED_LAG] * BRAKING))
 
 
 @kernel(forceinline=True)

@@ -21,8 +21,6 @@ from pcs_racing_agents.policies.tuning import (
     tune,
 )
 
-SAME = ("line-ppo-robust",)
-"""Planners that are another planner of the table with other weights, trained for other cars."""
 PAPER = "lattice:early"
 """Lattice planner with the parameters of the paper; ``lattice`` is tuned by a full search."""
 AGENTS = ("cfr-argmax", "response", "best-fixed", "never-switch", "ppo")
@@ -72,7 +70,7 @@ class Entrant(NamedTuple):
 def default_texts(size: Size) -> dict[str, str]:
     """Return the policy of each planner with its paper's parameters, by planner."""
     names = size.planners or planner_names()
-    return {name: PAPER if name == "lattice" else name for name in names if name not in SAME}
+    return {name: PAPER if name == "lattice" else name for name in names}
 
 
 def tunable(size: Size) -> list[str]:

@@ -40,7 +40,7 @@ from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner, Policy
-from pcs_racing.planners.pursuit import steady_course
+from pcs_racing.planners.pursuit import steady_course, within_grip
 from pcs_racing.planners.scanning import (
     BEAMS,
     MAX_RANGE,
@@ -68,6 +68,7 @@ CHANGE = 6.0  # factor of the change of a sector between two scans
 MAX_KAPPA, HALVED = 1.3, 4.0  # max curvature at rest, 1/m, and the speed that halves it, m/s
 PUSH = 1.0  # max change of the speed, m/s
 SLOWEST = 0.5  # m/s
+LATERAL = 6.0  # lateral acceleration that tyres must hold at the trained speeds, m/s^2
 
 PARAMETERS = (
     Parameter(
@@ -121,6 +122,12 @@ def remember(memory, scan_now):
 
 
 @compiled
+def held_share(view):
+    """Return the share of the trained speeds that the own tyres hold in the same bends."""
+    return np.sqrt(within_grip(view, LATERAL) / LATERAL)
+
+
+@compiled
 def max_curvature(v):
     """Return the max curvature of a command (1/m) at a speed (m/s)."""
     return MAX_KAPPA / (1.0 + (v / HALVED) ** 2)
@@ -141,6 +148,7 @@ def lay_command(view, share, memory, turn, push, path):
 @compiled
 def plan_by(flat, track, share, view, memory, scratch, path):
     """Plan by the network with the numbers ``flat``."""
+    share *= held_share(view)
     x, y = scratch[SCAN_SIZE : SCAN_SIZE + SEEN], scratch[SCAN_SIZE + SEEN : SCRATCH]
     observe(track, view, share, memory, scratch, x)
     remember(memory, x)
@@ -170,13 +178,14 @@ def _numbered(sizes: tuple[int, ...], tanh: bool, squash: bool) -> Planner:
     def plan(track, theta, view, memory, scratch, path):
         x = scratch[SCAN_SIZE : SCAN_SIZE + widest]
         y = scratch[SCAN_SIZE + widest : SCAN_SIZE + 2 * widest]
-        observe(track, view, 1.0, memory, scratch, x)
+        share = held_share(view)
+        observe(track, view, share, memory, scratch, x)
         remember(memory, x)
         dense_forward(theta, sizes, x, y, tanh)
         turn, push = (x[0], x[1]) if even else (y[0], y[1])
         if squash:
             turn, push = hyperbolic_tangent(turn), hyperbolic_tangent(push)
-        lay_command(view, 1.0, memory, turn, push, path)
+        lay_command(view, share, memory, turn, push, path)
 
     numbers = (
         Parameter(f"number {k}", -1e3, 1e3, 0.0, "weight of a network")

@@ -21,7 +21,7 @@ from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import arctangent
 from pcs_racing.planners import line as _line, view as _view
 from pcs_racing.planners.planner import Parameter, Planner, offsets
-from pcs_racing.planners.pursuit import calm_speed
+from pcs_racing.planners.pursuit import calm_speed, limited_steering
 from pcs_racing.track import frenet as _frenet
 
 PARAMETERS = (
@@ -73,7 +73,7 @@ def control(track, theta, view, memory, scratch, path, command):
     steer -= theta[YAW_DAMPING] * (view[_view.OWN_PSI_DOT] - v * kappa)
     steer += theta[STEER_DAMPING] * (memory[_BEFORE] - view[_view.OWN_DELTA])
     memory[_BEFORE] = view[_view.OWN_DELTA]
-    command[0] = min(max(steer, -view[_view.STEER_MAX]), view[_view.STEER_MAX])
+    command[0] = limited_steering(view, steer)
     command[1] = speed
 
 

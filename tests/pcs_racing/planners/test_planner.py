@@ -149,6 +149,7 @@ def test_the_default_control_drives_through_a_point_ahead_at_the_speed_that_the_
     v = view[views.OWN_V] = rng.uniform(0.5, 7.0)
     pose = [views.OWN_X, views.OWN_Y, views.OWN_PSI, views.OWN_BETA]
     view[pose] = rng.uniform(-2.0, 2.0, 4) * [1.0, 1.0, 1.0, 0.1]
+    view[views.SPEED_LAG] = 0.1
     tyres = [views.UNDERSTEER, views.UNDERSTEER_GAIN, views.REAR_SLIP, views.REAR_AXLE]
     view[tyres] = 0.0028, -0.0004, 0.01, 0.17
     course = view[views.OWN_PSI] + view[views.OWN_BETA]

@@ -154,6 +154,26 @@ def test_planners_drive_within_the_grip_of_their_tyres(oval):
             assert np.abs(result.state.cars[..., BETA]).max() < 0.2
 
 
+@pytest.mark.parametrize(
+    ("planner", "cars"),
+    [
+        ("lattice:pace=1", [{"steer_lag": 0.2}, {"speed_lag": 0.3}, {"steer_delay": 0.04}]),
+        ("stanley", [{"steer_lag": 0.3}]),
+        ("lane-switcher", [{"steer_lag": 0.3}]),
+        ("lidar-ppo", [{"tyres": "pacejka"}, {"steer_lag": 0.1}]),
+    ],
+)
+def test_planners_make_up_for_the_lags_of_their_car(oval, planner, cars):
+    """They drive as far as with a perfect car; lags that they do not know make them crash."""
+    apart = load_rules("contest", duration=12.0, start_gap=24.0, front_pace=(1.0, 1.0))
+    found = []
+    for car in ({}, *cars):
+        result = run_races(oval, [planner] * 6, planner, apart, vehicle=car)
+        assert not result.own_crash.any(), car
+        found.append(result.state.progress.max(axis=1).mean())
+        assert found[-1] / found[0] > (0.7 if "tyres" in car else 0.9), car
+
+
 ROLLING = load_rules("contest", start="rolling")
 
 

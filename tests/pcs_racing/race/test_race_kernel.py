@@ -218,6 +218,7 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
             "REAR_SLIP": 1.0 / (stiffness * body.c_sr),
             "REAR_AXLE": body.lr,
             "GRIP_USE": 0.0,
+            "SPEED_LAG": 0.1,
             "OPP_LENGTH": rival.length,
             "OPP_WIDTH": rival.width,
             "SPEED_LOW": 0.8,
@@ -228,8 +229,8 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
         expected |= {name: expected[name.removeprefix("TRUE_")] for name in of_poses}
         seen = dict(zip(VIEW, view_of(setup, state, 0, car), strict=True))
         assert seen.pop("OPP_D_DOT") == pytest.approx((later - other_d) / 1e-4, abs=0.15)
-        perfect = dict.fromkeys(set(seen) - set(expected), 0.0)  # the lidar, no handicap
-        assert len(perfect) == 9
+        perfect = dict.fromkeys(set(seen) - set(expected), 0.0)  # the lidar, no handicap, a prompt steering
+        assert len(perfect) == 11
         assert seen == pytest.approx(expected | perfect, abs=1e-6)
 
 
