@@ -229,7 +229,9 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
         expected |= {name: expected[name.removeprefix("TRUE_")] for name in of_poses}
         seen = dict(zip(VIEW, view_of(setup, state, 0, car), strict=True))
         assert seen.pop("OPP_D_DOT") == pytest.approx((later - other_d) / 1e-4, abs=0.15)
-        perfect = dict.fromkeys(set(seen) - set(expected), 0.0)  # the lidar, no handicap, a prompt steering
+        perfect = dict.fromkeys(
+            set(seen) - set(expected), 0.0
+        )  # the lidar, no handicap, a prompt steering
         assert len(perfect) == 11
         assert seen == pytest.approx(expected | perfect, abs=1e-6)
 
