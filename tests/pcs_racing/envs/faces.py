@@ -10,6 +10,12 @@ from pcs_racing.envs.drive import (
     DriveVectorEnv,
 )
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
+from pcs_racing.envs.line import (
+    LineEnv,
+    LineHeadToHeadEnv,
+    LineHeadToHeadVectorEnv,
+    LineVectorEnv,
+)
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.lattice import REFERENCE
 
@@ -24,6 +30,8 @@ MANY = {
     DuelEnv: DuelVectorEnv,
     DriveHeadToHeadEnv: DriveHeadToHeadVectorEnv,
     HeadToHeadEnv: SelfPlayVectorEnv,
+    LineEnv: LineVectorEnv,
+    LineHeadToHeadEnv: LineHeadToHeadVectorEnv,
 }
 """The vector environment of each environment."""
 
@@ -45,11 +53,14 @@ DRIVE = {
     "vehicle": {"lidar_noise": 0.1},
 }
 GAME = {"steps": (0.5,) * 3, "rules": "contest"}
+LINE = {"duration": 1.0, "style": {"risk": (0.0, 1.0), "pace": (0.9, 1.6)}}
 USUAL = {
     DriveEnv: DRIVE,
     DuelEnv: GAME,
     DriveHeadToHeadEnv: DRIVE,
     HeadToHeadEnv: GAME,
+    LineEnv: LINE,
+    LineHeadToHeadEnv: LINE,
 }
 """Arguments of each environment."""
 
@@ -72,6 +83,15 @@ VARIED = {
     "obstacles": {"count": [0, 2], "passage": 0.8, "moving": [0, 1], "sway": [0.0, 0.3]},
 }
 """Arguments for episodes that differ in everything."""
+
+ARCS = {
+    "action": "arc",
+    "observation": "sectors",
+    "beams": 0,
+    "track": "Pipkin",
+    "rules": "contest",
+}
+"""Arguments of a drive by arcs, as ``lidar-ppo`` drives."""
 
 
 class Counting:

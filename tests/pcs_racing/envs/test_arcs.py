@@ -2,47 +2,18 @@
 
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
+from faces import ARCS
 from refusal import refused
 
 from pcs_racing import load_track, racer, run_races
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.envs import DriveEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
+from pcs_racing.envs import DriveEnv
 from pcs_racing.planners.field.lidar_ppo import arc_policy, read_lidar_planner
 from pcs_racing.planners.planner import Planner
 from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.races import RaceSetup, start_races
 from pcs_racing.race.start_grid import Starts
-
-TASK = {"action": "arc", "observation": "sectors", "track": "Pipkin", "rules": "contest"}
-
-
-def test_gymnasiums_checker_accepts_it_and_names_each_element():
-    env = DriveEnv(**TASK)
-    check_env(env, skip_render_check=True)
-    assert len({element.name for element in env.elements}) == env.observation_space.shape[0] == 230
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_a_batch_gives_the_numbers_of_single_environments_to_the_end(threads):
-    task = TASK | {"duration": 5.0, "opponent": ["lattice", "gap-follower:top_speed=4"]}
-    envs, singles = DriveVectorEnv(6, threads=threads, **task), [DriveEnv(**task) for _ in range(6)]
-    seen, _ = envs.reset(seed=3)
-    own = [env.reset(seed=3 + k) for k, env in enumerate(singles)]
-    over, rng = np.zeros(6, bool), np.random.default_rng(0)
-    while not over.all():
-        actions = rng.uniform(-0.3, 0.6, (6, 2))
-        for k in np.flatnonzero(~over):
-            np.testing.assert_array_equal(seen[k], own[k][0])
-            own[k] = singles[k].step(actions[k])
-        # A second observation of the same moment is the same.
-        np.testing.assert_array_equal(envs.batch.both_views(), envs.batch.both_views())
-        seen, rewards, ended, late, _ = envs.step(actions)
-        for k in np.flatnonzero(~over):
-            assert (rewards[k], bool(ended[k]), bool(late[k])) == own[k][1:4]
-        over |= ended | late
-
 
 PLAIN = Planner("plain", (), drive=lambda track, theta, view, memory: (0.0, 2.0))
 
@@ -50,7 +21,7 @@ PLAIN = Planner("plain", (), drive=lambda track, theta, view, memory: (0.0, 2.0)
 @pytest.mark.parametrize("opponent", ["lattice", PLAIN])
 def test_the_actions_of_lidar_ppos_network_drive_the_race_of_lidar_ppo(opponent):
     _, layers = read_lidar_planner("lidar-ppo")
-    env, over = DriveEnv(**TASK | {"duration": 6.0}, opponent=opponent), False
+    env, over = DriveEnv(**ARCS | {"duration": 6.0}, opponent=opponent), False
     seen, _ = env.reset(seed=5)
     state, begun = env.batch.state, env.batch.state.copy()
     while not over:
@@ -69,27 +40,13 @@ def test_the_actions_of_lidar_ppos_network_drive_the_race_of_lidar_ppo(opponent)
         np.testing.assert_allclose(race.cars, state.cars, atol=2e-3)
 
 
-def test_a_state_continues_a_race_with_its_last_scans():
-    envs = DriveHeadToHeadVectorEnv(4, time_step=0.1, **TASK)
-    envs.reset(seed=1)
-    actions = np.full((4, 2), 0.2)
-    for _ in range(3):
-        envs.step(actions)
-    state = envs.get_state()
-    first = envs.step(actions)
-    envs.reset(seed=9)
-    envs.set_state(state)
-    for a, b in zip(envs.step(actions)[:4], first[:4], strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 @pytest.mark.parametrize(
     ("given", "said"),
     [
         ({"action": "arc"}, "action is 'arc' and observation 'map'"),
         ({"observation": "sectors"}, "'arc' and 'sectors' belong together"),
-        (TASK | {"time_step": 0.2}, "time_step is 0.2; with arcs it is 0.1"),
-        (TASK | {"top_speed": 4.0}, "top_speed is 4.0; with arcs it is 8.0"),
+        (ARCS | {"time_step": 0.2}, "time_step is 0.2; with arcs it is 0.1"),
+        (ARCS | {"top_speed": 4.0}, "top_speed is 4.0; with arcs it is 8.0"),
         ({"action": "arcs"}, "arcs"),
     ],
 )
@@ -101,7 +58,7 @@ def test_a_model_of_stable_baselines3_races_by_arcs(tmp_path):
     stable = pytest.importorskip("stable_baselines3")
     from pcs_racing.envs import make_sb3_vec_env
 
-    envs = make_sb3_vec_env("drive", 4, **TASK)
+    envs = make_sb3_vec_env("drive", 4, **ARCS)
     model = stable.PPO("MlpPolicy", envs, n_steps=8, batch_size=16, n_epochs=1, seed=0)
     model.learn(32)
     model.save(tmp_path / "model.zip")

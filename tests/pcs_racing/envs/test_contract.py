@@ -16,6 +16,7 @@ import pytest
 from faces import (
     AGENTS,
     ALL,
+    ARCS,
     GAME,
     MANY,
     MIXTURE,
@@ -43,12 +44,14 @@ from pcs_racing.envs import (
     drive_batch,
     duel,
     infos,
+    line,
     register_environments,
 )
 from pcs_racing.envs.draws import PARAMETERS
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
+from pcs_racing.envs.line import LineEnv, LineHeadToHeadEnv
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 
 # PettingZoo's own tests import its old classic environments, which warn
@@ -70,6 +73,8 @@ VARIANTS = [
     (DriveEnv, {"opponent": ["lattice", "predictive-spliner", "lane-switcher"]}),
     (DuelEnv, {"opponent": Counting()}),
     (DuelEnv, {"opponent": MIXTURE}),
+    (DriveHeadToHeadEnv, ARCS),
+    (LineEnv, {}),
 ]
 
 
@@ -85,10 +90,13 @@ VARIANTS = [
         (DriveEnv, {"normalize": True, "beams": 5}),
         (DuelEnv, {"opponent": "lane-switcher:3"}),
         (DuelEnv, {"opponent": MIXTURE}),
+        (DriveEnv, ARCS),
+        (LineEnv, {}),
     ],
 )
 def test_the_checkers_of_gymnasium_and_sb3_are_content(kind, arguments):
     env = make(kind, render_mode="rgb_array", **arguments)
+    assert env.observation_space.shape == (len({element.name for element in env.elements}),)
     check_env(env, skip_render_check=True)
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     checker.check_env(env)
@@ -116,6 +124,7 @@ STEERED = {"time_step": 0.1, "duration": 3.0}
 @pytest.fixture(
     params=[
         ("head_to_head-v1", duel, {"steps": (1.0,) * 5}, 50),
+        ("line_head_to_head-v0", line, {"duration": 3.0}, 60),
         ("drive_head_to_head-v0", drive, STEERED, 60),
         (
             "drive_head_to_head-v0",
@@ -182,7 +191,9 @@ def test_the_package_itself_offers_head_to_head():
 # Arguments and pages
 
 
-@pytest.mark.parametrize("kind", [*MANY, *MANY.values()], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "kind", [*ALL, *(MANY[kind] for kind in ALL)], ids=lambda kind: kind.__name__
+)
 def test_an_editor_shows_the_arguments_of_the_configuration(kind):
     shown = dict(inspect.signature(kind).parameters)
     assert shown.keys() - set(kind.options_type.defaults()) <= {
@@ -258,6 +269,7 @@ DRIVES = [
     },
     {"rules": RACE, "duration": None, "opponent": None, "normalize": True},
 ]
+TWO = {"opponent": ["lattice", "gap-follower:top_speed=4"]}
 LONGER = {"steps": (1.0,) * 4}
 DUELS = [
     {"opponent": one, **LONGER}
@@ -273,6 +285,9 @@ DUELS = [
         (DriveHeadToHeadEnv, DRIVES[0], 20, 40, 20),
         (HeadToHeadEnv, LONGER, 4, 7, 4),
         *((kind, VARIED, 5, 12, 5) for kind in ALL),
+        (DriveEnv, {**ARCS, **TWO, "duration": 3.0}, 6, 40, 6),
+        (LineEnv, {**TWO, "duration": 3.0}, 6, 40, 6),
+        (LineHeadToHeadEnv, {}, 4, 12, 4),
     ],
 )
 def test_vector_and_scalar_environment_agree_to_the_last_bit(
@@ -297,9 +312,9 @@ def test_vector_and_scalar_environment_agree_to_the_last_bit(
         for i, env in enumerate(single):
             rows = range(i * envs.players, (i + 1) * envs.players)
             own = (
-                actions[i]
-                if kind in SINGLE
-                else dict(zip(AGENTS, actions[list(rows)], strict=True))
+                dict(zip(AGENTS, actions[list(rows)], strict=True))
+                if hasattr(env, "possible_agents")
+                else actions[i]
             )
             answer = env.step(own)
             seen, paid, end, late, told = sides(env, *answer)

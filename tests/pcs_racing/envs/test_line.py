@@ -1,62 +1,15 @@
-"""A choice among the lattice's candidates, in every interface."""
+"""A choice among the lattice's candidates."""
 
-import warnings
-
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from pcs_racing import InputError, racer
-from pcs_racing.envs import (
-    LineEnv,
-    LineHeadToHeadEnv,
-    LineHeadToHeadVectorEnv,
-    LineVectorEnv,
-    split_observation,
-)
+from pcs_racing.envs import LineEnv, split_observation
 from pcs_racing.envs.line_options import LINE_ELEMENTS
 from pcs_racing.planners.line_ppo import LAYERS, LINE_FORMAT, SHARPNESS
 from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.races import RaceSetup, start_races
 from pcs_racing.race.start_grid import Starts
-
-
-def allowed(masks, rng):
-    """Return a random allowed candidate of each row."""
-    return np.array([rng.choice(np.flatnonzero(mask)) for mask in masks])
-
-
-def test_gymnasiums_and_pettingzoos_checkers_accept_it():
-    check_env(gym.make("pcs_racing/Line-v0").unwrapped)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # PettingZoo's own tests import its old environments
-        from pettingzoo.test import parallel_api_test
-
-        parallel_api_test(LineHeadToHeadEnv(), num_cycles=60)
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_a_batch_gives_the_numbers_of_single_environments_to_the_end(threads):
-    task = {"duration": 6.0, "style": {"risk": (0.0, 1.0), "pace": (0.9, 1.6)}}
-    task["opponent"] = ["lattice", "gap-follower:top_speed=4"]
-    envs, singles = LineVectorEnv(6, threads=threads, **task), [LineEnv(**task) for _ in range(6)]
-    seen, infos = envs.reset(seed=3)
-    own = [env.reset(seed=3 + k) for k, env in enumerate(singles)]
-    over, rng = np.zeros(6, bool), np.random.default_rng(0)
-    while not over.all():
-        choices = allowed(infos["action_mask"], rng)
-        for k in np.flatnonzero(~over):
-            np.testing.assert_array_equal(seen[k], own[k][0])
-            assert seen[k] in envs.single_observation_space
-            own[k] = singles[k].step(choices[k])
-        seen, rewards, ended, late, infos = envs.step(choices)
-        for k in np.flatnonzero(~over):
-            assert rewards[k] == own[k][1]
-            assert bool(ended[k]) == own[k][2]
-            assert not late[k]
-            over[k] = ended[k]
-            np.testing.assert_array_equal(infos["action_mask"][k], own[k][4]["action_mask"])
 
 
 def test_a_rejected_choice_becomes_the_cheapest_and_the_info_says_so():
@@ -69,19 +22,6 @@ def test_a_rejected_choice_becomes_the_cheapest_and_the_info_says_so():
     replaced, chosen = one.step(rejected), other.step(cheapest)
     np.testing.assert_array_equal(replaced[0], chosen[0])
     assert (replaced[4]["replaced"], chosen[4]["replaced"]) == (1, 0)
-
-
-def test_a_state_continues_a_race_with_its_styles():
-    envs = LineHeadToHeadVectorEnv(4, style={"risk": (0.0, 1.0)})
-    rng, infos = np.random.default_rng(0), envs.reset(seed=1)[1]
-    envs.step(allowed(infos["action_mask"], rng))
-    state, masks = envs.get_state(), envs.action_masks()
-    choices = allowed(masks, rng)
-    first = envs.step(choices)
-    envs.reset(seed=9)
-    envs.set_state(state)
-    for a, b in zip(envs.step(choices)[:4], first[:4], strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 def best_by_network(seen, tensors):

@@ -1,8 +1,4 @@
-"""Control level with one car or more than two: observations, rewards and infos, and the libraries'
-checkers.
-"""
-
-import warnings
+"""Control level with one car or more than two: observations, rewards and infos."""
 
 import numpy as np
 import pytest
@@ -19,10 +15,6 @@ from pcs_racing.envs.drive import (
     DriveVectorEnv,
 )
 from pcs_racing.envs.infos import Crash, Result
-
-# PettingZoo's own tests import its old classic environments, which warn
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")
 
 X, Y, _, V, PSI = range(5)
 DRIVERS = ["lattice:pace=0.3", "pure-pursuit", "lattice:pace=0.2"]
