@@ -4,27 +4,12 @@ end.
 
 import numpy as np
 import pytest
-from faces import AGENTS, begun, flat, follow_the_line, poses
+from faces import AGENTS, begun, flat, poses
 from refusal import refused
 
 from pcs_racing import load_rules
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.infos import Crash, Result
-from pcs_racing.planners.planner import Planner
-from pcs_racing.planners.registry import get_planner
-
-
-def episode(env, seed, steps=400, policy=follow_the_line):
-    """Observations, rewards and the last info of an episode."""
-    observation, info = env.reset(seed=seed)
-    observations, rewards = [observation], []
-    for _ in range(steps):
-        observation, reward, terminated, truncated, info = env.step(policy(observation))
-        observations.append(observation)
-        rewards.append(reward)
-        if terminated or truncated:
-            break
-    return np.array(observations), np.array(rewards), terminated, truncated, info
 
 
 def test_threads_share_a_step_that_is_long_enough():
@@ -68,18 +53,6 @@ def test_a_car_before_a_wall_gets_away_where_it_has_a_reverse_gear(oval, normali
     assert moved[0] == pytest.approx(0.0, abs=0.05)
     assert moved[1] > 1.0
     assert Crash.NONE in contacts
-
-
-def test_python_drivers_and_policy_objects_may_be_the_opponent(oval):
-    planner = Planner("crawler", (), drive=lambda track, theta, view, memory: (0.0, 0.5))
-    env = DriveEnv(track=oval, opponent=planner.policy(), duration=1.0)
-    _, rewards, _, _, info = episode(env, 1)
-    assert env.outcome()["opponent"] == "crawler"
-    assert info["lead"] > 1.0
-    assert rewards.sum() > 1.0
-    policy = get_planner("lattice").policy({"pace": 0.2})
-    by_text = episode(DriveEnv(opponent="lattice:pace=0.2"), 6)[0]
-    np.testing.assert_array_equal(episode(DriveEnv(opponent=policy), 6)[0], by_text)
 
 
 SLOW = {agent: np.array([0.0, -0.6], np.float32) for agent in AGENTS}

@@ -8,7 +8,7 @@ from recorded_races import PYTHON
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import CONTEST, PAPER, InputError, load_rules
+from pcs_racing import CONTEST, PAPER, InputError, load_rules, record_race
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import BETA, VehicleParams, load_vehicle
@@ -77,8 +77,6 @@ def test_the_seed_decides_a_race_and_its_times_to_collision_do_not(oval):
     one, other = (run_races(oval, [lattice()] * 4, lattice(), NOISY, seed=seed) for seed in (1, 2))
     assert not np.array_equal(one.starts.s, other.starts.s)
     assert not np.array_equal(one.state.disturbance, other.state.disturbance)
-    texts = run_races(oval, ["lattice"] * 4, "lattice", NOISY, seed=1)
-    np.testing.assert_array_equal(texts.state.cars, one.state.cars)
     moved = run_races(oval, [lattice()] * 4, lattice(), NOISY, seed=2, starts=one.starts)
     assert not np.array_equal(one.state.cars, moved.state.cars)
     batch = draw_starts(oval, PAPER, 200, seed=3)
@@ -283,6 +281,8 @@ def test_bad_arguments_are_refused(oval):
             lambda oval, *_: run_races(oval, lattice(), MUTE.policy(), SHORT),
             r"'mute' returned \('left', None\); it",
         ),
+        (lambda *_: run_races("Pipkin", lattice(), lattice()), "'Pipkin'; it must be a Track"),
+        (lambda *_: record_race("Pipkin", lattice(), lattice()), "'Pipkin'; it must be a Track"),
         (lambda _, setup, state, theta: advance(setup, state, theta, -2), "ticks is -2"),
         (
             lambda _, setup, state, theta: advance(setup, state, theta[..., :3], 2),

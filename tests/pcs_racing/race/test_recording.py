@@ -8,7 +8,7 @@ from refusal import refused
 from replay_pages import race_in
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import InputError, load_rules, load_track, racer, record_race
+from pcs_racing import InputError, load_rules, record_race
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Planner
@@ -243,22 +243,6 @@ def test_the_race_of_a_large_number_is_drawn_without_those_before_it(oval):
     assert not np.array_equal(near.cars[-1], far.cars[-1])
     for index in [-1, 1.5, True, LAST_INDEX + 1, 10**12]:
         refused(f"index is {index}", record_race, oval, *policies("lattice"), PAPER, index=index)
-
-
-def test_rules_and_policies_may_be_texts_and_a_track_may_not():
-    track = load_track("Pipkin")
-    rules = load_rules("paper", duration=1.0)
-    calm = racer("lattice:pace=0.3")
-    texts = record_race(track, "lattice:pace=0.3", "lattice:pace=0.3", rules, seed=1)
-    assert texts.cars.tolist() == record_race(track, calm, calm, rules, seed=1).cars.tolist()
-    assert (
-        record_race(track, calm, calm, "paper", seed=1).cars[0].tolist() == texts.cars[0].tolist()
-    )
-    both = ("contest", load_rules("contest"))
-    named, made = (run_races(track, [calm], calm, one, seed=1) for one in both)
-    assert named.lead.tolist() == made.lead.tolist()
-    refused("track is 'Pipkin'; it must be a Track", run_races, "Pipkin", [calm], calm)
-    refused("track is 'Pipkin'; it must be a Track", record_race, "Pipkin", calm, calm)
 
 
 def test_a_replay_knows_its_duration_and_lead():
