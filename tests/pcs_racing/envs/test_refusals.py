@@ -369,12 +369,12 @@ def broken(leaf):
             yield from (np.full_like(leaf, end) for end in (np.iinfo(leaf.dtype).max, -2))
 
 
-@pytest.mark.parametrize("many", [False, True], ids=["one", "many"])
 @pytest.mark.parametrize(
-    ("kind", "arguments"),
+    ("kind", "arguments", "many"),
     [
-        *((kind, VARIED) for kind in ALL),
-        (DriveEnv, {"opponent": "random-moves"}),
+        *((kind, VARIED, False) for kind in ALL),
+        *((kind, VARIED, True) for kind in SINGLE),
+        (DriveEnv, {"opponent": "random-moves"}, True),
     ],
 )
 def test_a_state_with_one_wrong_leaf_is_refused_and_changes_nothing(kind, arguments, many):

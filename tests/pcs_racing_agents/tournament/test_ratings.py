@@ -72,7 +72,7 @@ def test_strengths_and_ties_come_back_within_their_intervals():
     assert ratings.races.tolist() == [8000] * 5
     rng = np.random.default_rng(3)
     covered = []
-    for _ in range(60):
+    for _ in range(30):
         ratings = rate(raced(*simulate(rng, 40)), rng=rng, replicates=100)
         covered.append((ratings.low <= STRENGTH) & (ratings.high >= STRENGTH))
         assert (ratings.low < ratings.strength).all()
