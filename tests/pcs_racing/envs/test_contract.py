@@ -177,7 +177,7 @@ def test_two_agents_are_rendered(two_agents, monkeypatch):
     pytest.importorskip("pygame", reason="the extra 'window' is not installed")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     _, module, arguments, _ = two_agents
-    shorter = {"duration": 0.3} if module is drive else {}
+    shorter = {"steps": (0.2,) * 3} if module is duel else {"duration": 0.3}
     render_test(
         lambda **more: module.env(**{**arguments, **shorter}, render_size=(160, 120), **more)
     )
@@ -280,9 +280,9 @@ DUELS = [
 @pytest.mark.parametrize(
     ("kind", "arguments", "count", "steps", "min_ends"),
     [
-        *((DriveEnv, arguments, 24, 60, 25) for arguments in DRIVES),
+        *((DriveEnv, arguments, 12, 60, 12) for arguments in DRIVES),
         *((DuelEnv, arguments, 6, 7, 6) for arguments in DUELS),
-        (DriveHeadToHeadEnv, DRIVES[0], 20, 40, 20),
+        (DriveHeadToHeadEnv, DRIVES[0], 10, 40, 10),
         (HeadToHeadEnv, LONGER, 4, 7, 4),
         *((kind, VARIED, 5, 12, 5) for kind in ALL),
         (DriveEnv, {**ARCS, **TWO, "duration": 3.0}, 6, 40, 6),

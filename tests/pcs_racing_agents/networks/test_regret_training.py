@@ -143,7 +143,7 @@ def test_clipped_targets_are_learned_clipped():
         values[hopeless] -= 100.0
         return rows_of(x, values, pair, step), hopeless
 
-    network = learned(with_hopeless_rows(4000, 0)[0], clipped=True)
+    network = learned(with_hopeless_rows(2000, 0)[0], clipped=True)
     rows, hopeless = with_hopeless_rows(2000, 1)
     assert network.clipped
     good, bad = rows.take(~hopeless), rows.take(hopeless)
@@ -175,7 +175,7 @@ def test_relative_targets_are_learned_apart_from_the_level(monkeypatch):
 def test_relative_targets_far_below_the_best_are_raised(monkeypatch):
     """Random moves lose about 20; with a floor of 0.5 no move is learned as more than 10 below."""
     monkeypatch.setattr(goals, "FLOOR", 0.5)
-    x, values, pair, step = situations(4000)
+    x, values, pair, step = situations()
     below = values.max(axis=1, keepdims=True) - values
     network = learned(rows_of(x, values, pair, step), relative=True)
     answers = network(x)
