@@ -52,7 +52,7 @@ EARLY_PARAMETERS = tuple(Parameter(one.name, *_EARLY[one.name], one.meaning) for
 
 
 @inner_kernel(forceinline=True)
-def _choose(theta, laid, slack, scratch):
+def choose(theta, laid, slack, scratch):
     """Return the candidate with the min cost.
 
     The opponent only adds to a cost. So the candidate with the min cost without the opponent comes
@@ -90,7 +90,7 @@ def _search(track, theta, view, memory, scratch, path, slack):
     """
     now = situation(track, theta, view, memory)
     laid = lay_candidates(track, theta, view, memory, now, scratch)
-    chosen = _choose(theta, laid, slack, scratch)
+    chosen = choose(theta, laid, slack, scratch)
     take(track, view, memory, laid, now.attacks, scratch, chosen, path)
 
 
