@@ -70,10 +70,12 @@ COPIES = 6
 """Number of frozen copies among the opponents; half of the races against opponents have one."""
 STYLE = {"risk": (0.0, 1.0), "assertiveness": (0.0, 1.0), "pace": (0.8, 1.6)}
 """Range of the drawn styles."""
-STEPS, MINIBATCH, EPOCHS, FREEZE = 32, 8192, 3, 20
-"""Choices of a car in an update, choices of a step, passes; updates between two frozen copies."""
+STEPS, MINIBATCH, EPOCHS, WARM, FREEZE = 32, 8192, 3, 10, 20
+"""Choices of a car in an update, choices of a step, passes; first updates, of the critic alone: the
+policy is good already; updates between two frozen copies.
+"""
 GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.99, 0.95, 0.2, 0.001, 1e-3
-KL, MAX_KL, MAX_RATE, KEPT = 0.008, 0.03, 5e-3, 0.9
+KL, MAX_KL, MAX_RATE, KEPT = 0.002, 0.01, 5e-3, 0.9
 """Divergence that the learning rate aims at, divergence that ends an update, max learning rate;
 share of the averaged weights that an update keeps.
 """
@@ -158,7 +160,7 @@ def collect(learner: Learner, races: Races, seen: np.ndarray) -> tuple[dict[str,
 
 
 def update(
-    learner: Learner, optimizer: torch.optim.Adam, found: dict[str, Tensor]
+    learner: Learner, optimizer: torch.optim.Adam, found: dict[str, Tensor], warm: bool
 ) -> dict[str, float]:
     """Improve actor and critic by a rollout; return numbers of the last step."""
     gains = found["gains"]
@@ -174,14 +176,14 @@ def update(
         entropy = -(logs.exp() * logs.clamp_min(-30.0)).sum(dim=1).mean()
         error = (learner.value(some["seen"]) - some["returns"]).square().mean()
         optimizer.zero_grad()
-        (actor - ENTROPY * entropy + 0.5 * error).backward()
+        (0.5 * error + (0.0 if warm else actor - ENTROPY * entropy)).backward()
         for part in (learner.actor, learner.critic):
             nn.utils.clip_grad_norm_(part.parameters(), 1.0)
         optimizer.step()
         if kl > MAX_KL:
             break
     for group in optimizer.param_groups:
-        factor = 1.5 if kl < 0.5 * KL else 1.0 / 1.5 if kl > 2.0 * KL else 1.0
+        factor = 1.5 if kl < 0.5 * KL and not warm else 1.0 / 1.5 if kl > 2.0 * KL else 1.0
         group["lr"] = min(max(group["lr"] * factor, 1e-5), MAX_RATE)
     learner.average()
     last = {"kl": kl, "entropy": float(entropy.detach()), "error": float(error.detach())}
@@ -284,7 +286,8 @@ class Run:
                 self.report(writer)
             began = time.monotonic()
             found, seen = collect(self.learner, races, seen)
-            means = update(self.learner, self.optimizer, found)
+            warm = counts["updates"] < WARM
+            means = update(self.learner, self.optimizer, found, warm)
             counts["updates"] += 1
             counts["choices"] += len(found["chosen"])
             counts["seconds"] += time.monotonic() - began
@@ -306,7 +309,7 @@ def main() -> None:
     add("--out", type=Path, default=Path("out/train_line_ppo"), help="folder of all files")
     add("--minutes", type=float, default=30.0, help="time of learning, earlier calls included")
     add("--every", type=float, default=5.0, help="minutes between evaluations")
-    add("--envs", type=int, default=512, help="cars that learn, a multiple of 8")
+    add("--envs", type=int, default=2048, help="cars that learn, a multiple of 8")
     add("--threads", type=int, default=2, help="threads of the races and of torch")
     add("--tracks", nargs="+", default=TRACKS, help="circuits to learn on")
     add("--random", type=int, default=40, help="random circuits in addition")
