@@ -13,7 +13,6 @@ from pcs_racing import load_track
 from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.track import loading, map_files
 from pcs_racing.track.building.tracks import build_track
-from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT
 from pcs_racing.track.map_files import MapFolder, read_map, write_map
 from pcs_racing.track.track import Calibration
 
@@ -298,14 +297,3 @@ def test_names_that_stand_for_nothing_and_missing_mapping_tools_are_told(
     load_track(folder)
     (folder / "Big Oval_raceline.csv").unlink()
     refused(r"race line; .*pcs-racing\[mapping\]", load_track, folder, error=ModuleNotFoundError)
-
-
-@pytest.mark.parametrize("name", ["Spielberg", "Catalunya", "Oschersleben"])
-def test_real_circuits_can_be_raced_on(real_maps, name):
-    track = load_track(real_maps / name)
-    assert track.wall_distance(track.line[:, :2]).min() >= 0.28
-    assert np.abs(track.line[:, KAPPA]).max() < 1.3
-    assert (track.line[:, [RIGHT, LEFT]] > 0.28).all()
-    assert track.wall_distance(track.centerline[:, :2]).min() > 0.4
-    jumps = np.abs(np.diff(track.to_frenet(track.centerline[:, :2])[:, 0]))
-    assert np.minimum(jumps, track.length - jumps).max() < 1.5

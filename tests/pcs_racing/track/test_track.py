@@ -255,3 +255,14 @@ def test_projecting_a_point_that_was_built_from_s_and_d_gives_them_back(along, s
     assert abs(_difference(track, s_found, s)) < 1e-9
     assert abs(d_found - d) < 1e-9
     assert 0.0 <= s_found < track.length
+
+
+@pytest.mark.parametrize("name", ["Spielberg", "Catalunya", "Oschersleben"])
+def test_real_circuits_can_be_raced_on(real_maps, name):
+    track = load_track(real_maps / name)
+    assert track.wall_distance(track.line[:, :2]).min() >= 0.28
+    assert np.abs(track.line[:, KAPPA]).max() < 1.3
+    assert (track.line[:, [RIGHT, LEFT]] > 0.28).all()
+    assert track.wall_distance(track.centerline[:, :2]).min() > 0.4
+    jumps = np.abs(np.diff(track.to_frenet(track.centerline[:, :2])[:, 0]))
+    assert np.minimum(jumps, track.length - jumps).max() < 1.5
