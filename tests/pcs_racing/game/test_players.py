@@ -65,6 +65,10 @@ def test_a_model_keeps_a_state_for_each_game(game, state):
         assert moves.tolist() == [asked] * GAMES
     memories[2] = None  # this game begins again
     assert ask_moves(agent, game, state, 0, memories=memories).tolist() == [2, 2, 0, 2]
+    asked = []
+    plain = SimpleNamespace(predict=lambda seen, *_: (asked.append(seen) or [1] * len(seen), None))
+    assert ask_moves(competitor(plain, game), game, state, 0).tolist() == [1] * GAMES
+    assert len(asked) == 1  # for all games, since it has no state
 
 
 def test_a_function_draws_by_the_key_the_step_and_the_car_of_each_game(game, state):

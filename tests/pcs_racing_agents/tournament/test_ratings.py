@@ -266,7 +266,9 @@ def test_a_pair_without_races_leaves_its_results_unknown():
 
 @pytest.mark.parametrize(("lines", "enough"), [(5, True), (4, False)])
 def test_an_interval_needs_enough_start_lines_with_paid_races(lines, enough):
-    line, ends = [*(i % lines for i in range(20)), 9], [*["ego", "opponent"] * 10, "none"]
-    races = table(["a"] * 21, ["b"] * 21, ends, [False] * 20 + [True], line)
+    """On the first line car 0 wins by a crash of the other; the crash on the last one pays none."""
+    line = [0, *(1 + i % (lines - 1) for i in range(19)), 9]
+    ends, crashed = [*["ego", "opponent"] * 10, "none"], [True, *[False] * 19, True]
+    races = table(["a"] * 21, ["b"] * 21, ends, crashed, line)
     result = round_robin(("a", "b"), races)
     assert np.isfinite(result.rating("a")).tolist() == [True, enough, enough]
