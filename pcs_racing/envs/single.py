@@ -111,7 +111,10 @@ class SingleEnv(OverBatch):
         return EnvState(self.batch.get_state(), self._steps, self._running, generator)
 
     def set_state(self, state: EnvState) -> Any:
-        """Continue from a state of `get_state`, from an environment with equal arguments."""
+        """Continue from a state of `get_state`, from an environment with equal arguments.
+
+        Return the observations of the players, shape (players, D).
+        """
         if not isinstance(state, EnvState):
             raise InputError(f"state is a {type(state).__name__}; it must be a state of get_state")
         check_flag("the state's running", state.running)
@@ -121,10 +124,14 @@ class SingleEnv(OverBatch):
             if isinstance(state.batch, tuple) and state.batch and state.batch[0] is None:
                 raise InputError("the state has steps but no race; use a state of get_state")
         # A new generator: two environments restored from one state must not share a stream.
-        unused = state.generator is None and not begun
-        generator = None if unused else generator_of("the state's generator", state.generator)
+        generator = (
+            generator_of("the state's generator", state.generator)
+            if begun or state.generator is not None
+            else None
+        )
         self.batch.set_state(state.batch)
         self._np_random, self._steps, self._running = generator, state.steps, state.running
+        return self._observe()
 
     def _check_started(self) -> None:
         if self._steps is None:
@@ -164,10 +171,10 @@ class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
 
     def set_state(self, state: EnvState) -> NDArray[np.float32]:
         """Continue from a state of `get_state`, and return its observation."""
-        super().set_state(state)
+        seen: NDArray[np.float32] = super().set_state(state)[0]
         if self._steps is not None:
             self._keep_step(begun=True)
-        return self._observe()[0]
+        return seen
 
     def _keep_step(self, *, begun: bool = False) -> None:
         """Store the last step for a film, if steps are filmed; ``begun`` discards earlier steps."""

@@ -74,7 +74,7 @@ VARIANTS = [
     (DuelEnv, {"opponent": Counting()}),
     (DuelEnv, {"opponent": MIXTURE}),
     (DriveHeadToHeadEnv, ARCS),
-    (LineEnv, {}),
+    (LineHeadToHeadEnv, {}),
 ]
 
 
