@@ -14,6 +14,7 @@ import re
 import sys
 from collections.abc import Sequence
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -246,6 +247,7 @@ def public_modules(package: str) -> list[str]:
     return [_dotted(file) for file in files if file.stem != "__init__" and public_names(file)]
 
 
+@cache
 def public_names(file: Path) -> list[str]:
     """Names that a module defines without a leading underscore; those that ``__all__`` lists, if
     there is one.
