@@ -10,6 +10,7 @@ from annotated_types import Interval
 
 from pcs_racing.base.errors import ConfigError, MapError
 from pcs_racing.base.settings import OneOf, Settings
+from pcs_racing.race.calibration import known_rules
 from pcs_racing.race.config import KNOWN_RULES, Rules, load_rules
 from pcs_racing.race.start_grid import PLACE_EVERY, stretches_of
 from pcs_racing.track.building.tracks import build_track
@@ -113,10 +114,10 @@ def find_speeds(track: Track, rules: Rules | str = "contest", *, threads: int = 
     """
     from pcs_racing.race.calibrating import find_speed_range  # with planners, which others lack
 
-    rules = load_rules(rules)
-    found = find_speed_range(track, rules, threads=threads)
-    own = replace(track.calibration[rules.name], speed_range=found)
-    return replace(track, calibration={rules.name: own})
+    known = known_rules(load_rules(rules))
+    found = find_speed_range(track, known, threads=threads)
+    own = replace(track.calibration[known.name], speed_range=found)
+    return replace(track, calibration={known.name: own})
 
 
 def _calibration(track: Track, rules: Rules) -> Calibration:
