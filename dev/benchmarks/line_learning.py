@@ -31,7 +31,7 @@ OPPONENTS = [
     "disparity-extender:top_speed=4",
 ]
 HELD_OUT = ("Saltmere", "Vellindra", "Austin", "Monza", "Sepang", "Zandvoort")
-STYLE = {"assertiveness": 0.4, "pace": 1.3}
+STYLE = {"assertiveness": 0.4}
 WIDTHS = (2.2, 2.0, 3.0, 2.5)  # m, of the random circuits
 SEED = 20_261_129  # of the test races
 
@@ -81,7 +81,7 @@ def main() -> None:
     add = parser.add_argument
     add("--maps", type=Path, required=True, help="folder of the real circuits")
     add("--steps", type=int, default=15_000_000, help="choices")
-    add("--envs", type=int, default=1024)
+    add("--envs", type=int, default=512)
     add("--races", type=int, default=200, help="test races on each circuit")
     add("--random", type=int, default=40, help="number of random circuits in addition")
     add("--out", type=Path, default=Path("out/line.zip"))
@@ -91,17 +91,17 @@ def main() -> None:
     for k in range(given.random):
         drawn = RandomCircuits(width=WIDTHS[k % len(WIDTHS)], longest=120.0 + 30.0 * (k % 7))
         tracks.append(find_speeds(random_circuit(drawn, k)))
-    task = {"track": tracks, "opponent": OPPONENTS, "style": STYLE, "fault_penalty": 4.0}
+    task = {"track": tracks, "opponent": OPPONENTS, "style": STYLE, "fault_penalty": 2.0}
     env = make_sb3_vec_env("line", given.envs, threads=1, **task)
     model = PPO(
         CandidatePolicy,
         env,
-        n_steps=128,
+        n_steps=64,
         batch_size=8192,
         n_epochs=3,
         learning_rate=lambda left: 5e-4 * (0.1 + 0.9 * left),
-        ent_coef=0.0,
-        target_kl=0.004,
+        ent_coef=0.001,
+        target_kl=0.02,
         seed=0,
         device="cpu",
     )
