@@ -230,16 +230,18 @@ class Run:
         a.out.mkdir(parents=True, exist_ok=True)
         self.learner = Learner()
         self.optimizer = torch.optim.Adam(self.learner.parameters(), RATE, eps=1e-5)
-        self.frozen = [self.learner.averaged.state_dict()] * COPIES
+        self.frozen = [
+            {key: one.clone() for key, one in self.learner.averaged.state_dict().items()}
+        ] * COPIES
         self.counts: dict[str, float] = {"updates": 0, "actions": 0, "best": -1e9, "seconds": 0.0}
         if self.file.exists():
             try:
                 saved = torch.load(self.file, weights_only=True)
-            except Exception as error:  # whatever torch makes of a damaged file
-                raise SystemExit(f"error: {self.file} is no checkpoint: {error!s:.80}") from None
-            self.learner.load_state_dict(saved["learner"])
-            self.optimizer.load_state_dict(saved["optimizer"])
-            self.frozen, self.counts = saved["frozen"], saved["counts"]
+                self.learner.load_state_dict(saved["learner"])
+                self.optimizer.load_state_dict(saved["optimizer"])
+                self.frozen, self.counts = saved["frozen"], saved["counts"]
+            except Exception:  # whatever torch makes of a damaged file, or of another script's
+                raise SystemExit(f"error: {self.file} is no checkpoint of this script") from None
             print(f"goes on after {self.counts['actions']:,} actions", flush=True)
 
     def report(self, writer: SummaryWriter) -> None:
@@ -323,7 +325,7 @@ def main() -> None:
     torch.set_num_threads(a.threads)
     try:
         Run(a).train()
-    except InputError as error:
+    except (InputError, OSError) as error:
         raise SystemExit(f"error: {error}") from None
 
 

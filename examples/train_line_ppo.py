@@ -232,14 +232,14 @@ class Run:
         if self.file.exists():
             try:
                 saved = torch.load(self.file, weights_only=True)
-            except Exception as error:  # whatever torch makes of a damaged file
-                raise SystemExit(f"error: {self.file} is no checkpoint: {error!s:.80}") from None
-            self.learner.load_state_dict(saved["learner"])
-            self.optimizer.load_state_dict(saved["optimizer"])
-            self.frozen = [
-                {key: one.numpy() for key, one in copy.items()} for copy in saved["frozen"]
-            ]
-            self.counts = saved["counts"]
+                self.learner.load_state_dict(saved["learner"])
+                self.optimizer.load_state_dict(saved["optimizer"])
+                self.frozen = [
+                    {key: one.numpy() for key, one in copy.items()} for copy in saved["frozen"]
+                ]
+                self.counts = saved["counts"]
+            except Exception:  # whatever torch makes of a damaged file, or of another script's
+                raise SystemExit(f"error: {self.file} is no checkpoint of this script") from None
             print(f"goes on after {self.counts['choices']:,} choices", flush=True)
 
     def report(self, writer: SummaryWriter) -> None:
@@ -325,7 +325,7 @@ def main() -> None:
     torch.set_num_threads(a.threads)
     try:
         Run(a).train()
-    except InputError as error:
+    except (InputError, OSError) as error:
         raise SystemExit(f"error: {error}") from None
 
 

@@ -74,6 +74,7 @@ class OverBatch:
         if options.render_mode is not None:
             check_choice("render_mode", options.render_mode, self.metadata["render_modes"])
         self._own, self.options, self.render_mode = own, options, options.render_mode
+        self._replaced: dict[int, Any] = {}  # later opponents by index
         if not callable(self.reward):
             raise ConfigError(f"reward is {self.reward!r}; it must be a method reward(step)")
         if options.reward is not None and type(self).reward is not OverBatch.reward:
@@ -140,12 +141,13 @@ class OverBatch:
         on.
 
         The policy has the same planner, as a frozen copy of a network
-        (:func:`pcs_racing.planners.line_ppo.network_policy`) and a later one have. States do not
-        hold it.
+        (:func:`pcs_racing.planners.line_ppo.network_policy`) and a later one have. Copies of the
+        environment hold it, states do not.
         """
         if not hasattr(self.batch, "set_opponent"):
             raise InputError("an opponent can be replaced in Drive and Line alone")
         self.batch.set_opponent(index, policy)
+        self._replaced[index] = policy
 
     def _step_batch(
         self, actions: NDArray[Any], generators: Generators, running: NDArray[np.bool_]
@@ -212,6 +214,7 @@ class OverBatch:
             {**vars(self.options), **self._own},
             self.get_state(),
             self.spec,
+            self._replaced,
         )
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
@@ -262,8 +265,16 @@ def refuse(name: str, *_: object) -> NoReturn:
     )
 
 
-def _rebuild(kind: type[Any], arguments: dict[str, Any], state: Any, spec: EnvSpec | None) -> Any:
+def _rebuild(
+    kind: type[Any],
+    arguments: dict[str, Any],
+    state: Any,
+    spec: EnvSpec | None,
+    replaced: dict[int, Any],
+) -> Any:
     made = kind(**arguments)
+    for index, policy in replaced.items():
+        made.set_opponent(index, policy)
     made.set_state(state)
     made.spec = spec
     return made

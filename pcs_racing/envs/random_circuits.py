@@ -15,6 +15,7 @@ from pcs_racing.race.config import KNOWN_RULES, Rules, load_rules
 from pcs_racing.race.start_grid import PLACE_EVERY, stretches_of
 from pcs_racing.track.building.tracks import build_track
 from pcs_racing.track.frenet import KAPPA
+from pcs_racing.track.loading import as_track
 from pcs_racing.track.mapping.circuits import generate_circuit
 from pcs_racing.track.mapping.shapes import STYLES
 from pcs_racing.track.track import Calibration, Track
@@ -100,8 +101,10 @@ def random_circuit(settings: RandomCircuits, index: int) -> Track:
     raise MapError(f"no circuit came of {settings} in {TRIES} attempts: {refusal}")
 
 
-def find_speeds(track: Track, rules: Rules | str = "contest", *, threads: int = 1) -> Track:
+def find_speeds(track: Track | str, rules: Rules | str = "contest", *, threads: int = 1) -> Track:
     """Return a circuit with the speed range that short test drives find for rules, in a second.
+
+    The circuit is a track, a name or a folder; its ranges for other rules stay.
 
     The speed range of :func:`random_circuit` is low, and the same for all circuits. A network that
     learns on circuits with found speeds meets the speeds of calibrated ones.
@@ -114,10 +117,10 @@ def find_speeds(track: Track, rules: Rules | str = "contest", *, threads: int = 
     """
     from pcs_racing.race.calibrating import find_speed_range  # with planners, which others lack
 
-    known = known_rules(load_rules(rules))
+    track, known = as_track(track), known_rules(load_rules(rules))
     found = find_speed_range(track, known, threads=threads)
     own = replace(track.calibration[known.name], speed_range=found)
-    return replace(track, calibration={known.name: own})
+    return replace(track, calibration=track.calibration | {known.name: own})
 
 
 def _calibration(track: Track, rules: Rules) -> Calibration:

@@ -124,6 +124,7 @@ def test_a_random_circuit_can_be_raced_on():
     assert set(track.calibration) == set(KNOWN_RULES)
     driven = find_speeds(track, dataclasses.replace(PAPER, name="own"))
     assert driven.calibration["paper"].speed_range > track.calibration["paper"].speed_range
+    assert driven.calibration["contest"] == track.calibration["contest"]
     env = DuelEnv(track=track, archive="default", steps=(1.0,) * 2)
     for seed in range(3):
         env.reset(seed=seed)

@@ -108,8 +108,9 @@ def test_a_frozen_copy_is_replaced_for_later_races():
     envs = LineVectorEnv(2, opponent=[first, "lattice"], track="Pipkin")
     envs.set_opponent(0, later)
     envs.set_opponent_weights([1.0, 1e-9])
-    envs.reset(seed=1)
-    np.testing.assert_array_equal(envs.batch.theta[:, 1], [later.parameters] * 2)
+    for one in (envs, pickle.loads(pickle.dumps(envs))):  # a copy has the later opponent, too
+        one.reset(seed=1)
+        np.testing.assert_array_equal(one.batch.theta[:, 1], [later.parameters] * 2)
     envs.set_opponent(0, pickle.loads(pickle.dumps(first)))
     refused("index is 2", envs.set_opponent, 2, later)
     refused("only another policy of .* can replace it", envs.set_opponent, 1, later)
