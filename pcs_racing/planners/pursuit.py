@@ -53,38 +53,16 @@ def steady_course(view, kappa):
 
 
 @kernel(forceinline=True)
-def place_of_command(view):
-    """Return the place (m) at which a steering command arrives, and the turn (rad) until then."""
-    delay, turn = view[_view.STEER_DELAY], view[_view.OWN_PSI_DOT] * view[_view.STEER_DELAY]
-    if delay == 0.0:
-        return view[_view.OWN_X], view[_view.OWN_Y], 0.0
-    sine, cosine = sine_cosine(view[_view.OWN_PSI] + view[_view.OWN_BETA] + 0.5 * turn)
-    way = view[_view.OWN_V] * delay
-    return view[_view.OWN_X] + way * cosine, view[_view.OWN_Y] + way * sine, turn
+def pursuit_steering(view, course, dx, dy, kappa, acceleration):
+    """Return the steering angle (rad) of pure pursuit towards a point.
 
-
-@kernel(forceinline=True)
-def pursuit_arc(view, x, y, kappa):
-    """Return the curvature (1/m) of the arc to a point (m).
-
-    The arc starts where the command arrives, along `steady_course` in a bend ``kappa`` (1/m).
+    ``course`` (rad) is the direction of motion, and ``dx``, ``dy`` (m) the way to the point, where
+    the path has the curvature ``kappa`` (1/m). The car's understeer makes up for the slip of the
+    tyres in steady cornering. Under braking the load shifts to the front, and understeer turns into
+    oversteer: ``acceleration`` (m/s^2) is the next acceleration to be commanded.
     """
-    own_x, own_y, turn = place_of_command(view)
-    dx, dy = x - own_x, y - own_y
-    sine, cosine = sine_cosine(steady_course(view, kappa) + turn)
-    return 2.0 * (dy * cosine - dx * sine) / max(dx * dx + dy * dy, 1e-6)
-
-
-@kernel(forceinline=True)
-def pursuit_steering(view, x, y, kappa, acceleration):
-    """Return the steering angle (rad) of pure pursuit towards a point (m).
-
-    At the point the path has the curvature ``kappa`` (1/m). The car's understeer makes up for the
-    slip of the tyres in steady cornering. Under braking the load shifts to the front, and
-    understeer turns into oversteer: ``acceleration`` (m/s^2) is the next acceleration to be
-    commanded.
-    """
-    arc = pursuit_arc(view, x, y, kappa)
+    sine, cosine = sine_cosine(course)
+    arc = 2.0 * (dy * cosine - dx * sine) / max(dx * dx + dy * dy, 1e-6)
     understeer = view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration
     steer = (
         arctangent(view[_view.WHEELBASE] * arc)
@@ -141,8 +119,12 @@ def follow_path(track, theta, view, memory, scratch, path, command):
     The look-ahead grows from 0.3 m by 0.1 m per m/s. The speed is the path's speed at the point
     reached within the time constant of the car's speed, 0.1 s unless it is another car.
     """
-    x, y, _ = place_of_command(view)
-    v = view[_view.OWN_V]
+    x, y, v = view[_view.OWN_X], view[_view.OWN_Y], view[_view.OWN_V]
+    turn, delay = 0.0, view[_view.STEER_DELAY]
+    if delay > 0.0:  # the car gets the command later, at another place
+        turn = view[_view.OWN_PSI_DOT] * delay
+        sine, cosine = sine_cosine(view[_view.OWN_PSI] + view[_view.OWN_BETA] + 0.5 * turn)
+        x, y = x + v * delay * cosine, y + v * delay * sine
     last = path.shape[0] - 1
     # The path starts at the car's position at planning time; skip the points behind the car.
     i = 0
@@ -177,7 +159,8 @@ def follow_path(track, theta, view, memory, scratch, path, command):
             break
         before = after
     speed, acceleration = calm_speed(view, speed)
-    command[0] = pursuit_steering(view, goal_x, goal_y, kappa, acceleration)
+    course = steady_course(view, kappa) + turn
+    command[0] = pursuit_steering(view, course, goal_x - x, goal_y - y, kappa, acceleration)
     command[1] = speed
 
 

@@ -100,22 +100,24 @@ def view() -> np.ndarray:
 
 
 def test_pure_pursuit_drives_the_arc_along_the_course_of_a_steady_bend(view):
+    def steering(x, y, kappa=0.0):
+        return pursuit_steering(view, steady_course(view, kappa), x, y, kappa, 0.0)
+
     radius = 3.0
     x, y = radius * np.sin(0.3), radius * (1.0 - np.cos(0.3))  # on the circle that the car touches
-    assert pursuit_steering(view, x, y, 0.0, 0.0) == pytest.approx(np.arctan(0.33 / radius))
-    assert pursuit_steering(view, x, -y, 0.0, 0.0) == pytest.approx(-np.arctan(0.33 / radius))
-    assert pursuit_steering(view, x, 0.0, 0.0, 0.0) == 0.0
-    assert pursuit_steering(view, 0.1, 5.0, 0.0, 0.0) <= 0.4  # the limit of the car
+    assert steering(x, y) == pytest.approx(np.arctan(0.33 / radius))
+    assert steering(x, -y) == pytest.approx(-np.arctan(0.33 / radius))
+    assert steering(x, 0.0) == 0.0
+    assert steering(0.1, 5.0) <= 0.4  # the limit of the car
     # Heading and slip of the bend that cancel leave the steering as it was; the slip of the moment
     # says nothing.
     view[views.REAR_AXLE], view[views.REAR_SLIP] = 0.17, 0.02
-    usual = pursuit_steering(view, 1.0, 0.2, 0.0, 0.0)
-    slip = 0.5 * (0.17 - 0.02 * 4.0**2)
-    view[views.OWN_PSI] = -slip
+    usual = steering(1.0, 0.2)
+    view[views.OWN_PSI] = -0.5 * (0.17 - 0.02 * 4.0**2)
     assert steady_course(view, 0.5) == pytest.approx(0.0, abs=1e-12)
-    assert pursuit_steering(view, 1.0, 0.2, 0.5, 0.0) == pytest.approx(usual)
+    assert steering(1.0, 0.2, 0.5) == pytest.approx(usual)
     view[views.OWN_BETA] = 0.1
-    assert pursuit_steering(view, 1.0, 0.2, 0.5, 0.0) == pytest.approx(usual)
+    assert steering(1.0, 0.2, 0.5) == pytest.approx(usual)
 
 
 def followed(path, view):
