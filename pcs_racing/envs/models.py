@@ -263,7 +263,7 @@ def origin_of(
     if len(texts) > 1:
         raise InputError(
             f"the environment of model {name!r} differs from its spaces, which its zip will hold:"
-            " set model.observation_space to that of the environment"
+            " set model.observation_space to the environment's"
         )
     (text,) = texts
     if text is not None:
