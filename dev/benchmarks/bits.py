@@ -236,7 +236,6 @@ def archive(folders: list[Path]) -> Digests:
         starts=1,
         duration=8.0,
         candidates=16,
-        choice_starts=1,
         final_duration=8.0,
         final_starts=1,
         max_policies=8,

@@ -2,8 +2,9 @@
 lidar, on one core.
 
     python dev/benchmarks/environment_speed.py [--track NAME_OR_FOLDER] [--envs 256] [--seconds 1.0]
-    # the variants whose names hold one of these
+    # the variants whose names hold one of these; README's table
     python dev/benchmarks/environment_speed.py --only duel "two agents"
+    python dev/benchmarks/environment_speed.py --only defaults
     # steps of an agent with 1, 4 and 8 cars, and with 2
     python dev/benchmarks/environment_speed.py --only cars
     # scalar environments beside those of another checkout
@@ -23,6 +24,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from gymnasium.spaces import Box
 from race_speed import side_by_side
@@ -75,6 +77,19 @@ def batch(envs: Any, steps: int) -> Work:
             envs.step(rng.integers(space.n, size=envs.num_envs) if straight is None else straight)
 
     return work, steps * envs.num_envs
+
+
+def by_default(name: str, envs: int) -> Work:
+    """Steps of a batch with default arguments, and random actions."""
+    made = gym.make_vec(f"pcs_racing/{name}", num_envs=envs, threads=1)
+    made.action_space.seed(0)
+    made.reset(seed=0)
+
+    def work() -> None:
+        for _ in range(10):
+            made.step(made.action_space.sample())
+
+    return work, 10 * envs
 
 
 def scalar(env: Any, steps: int) -> Work:
@@ -136,6 +151,10 @@ def main() -> None:
     many = {"num_envs": given.envs, "threads": 1, **track}
     few, most = {"beams": 108}, {"beams": 1080}
     makers: dict[str, Callable[[], Work]] = {
+        **{
+            f"{name}, defaults": lambda name=name: by_default(name, given.envs)
+            for name in ("Line-v0", "Drive-v1", "Duel-v1")
+        },
         "drive, batch, pure pursuit": lambda: batch(DriveVectorEnv(**many, **step, **pursuit), 100),
         "drive, batch, lattice": lambda: batch(
             DriveVectorEnv(**many, **step, opponent="lattice"), 100

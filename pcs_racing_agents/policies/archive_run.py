@@ -28,13 +28,13 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.registry import get_planner, parse_policy
-from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.jobs import Arrays, Job, Run, open_job
 from pcs_racing_agents.policies.archive_report import write_archive
 from pcs_racing_agents.policies.config import ArchiveConfig, FrontConfig, SpreadConfig
 from pcs_racing_agents.policies.evaluate import (
     Evaluation,
     Scenarios,
+    circuit,
     draw_scenarios,
     race_in_blocks,
     summarise,
@@ -96,7 +96,8 @@ def synthesize(
         :class:`SearchProgress`.
     """
     folder = Path(folder)
-    hashes = {name: load_track(name).content_hash for name in config.tracks}
+    used = dict.fromkeys(config.circuits(0) + config.circuits(1))
+    hashes = {name: circuit(name, config.race_rules).content_hash for name in used}
     # Drawn before the folder is made: an invalid option must not leave a folder behind.
     stage_scenarios(config)
     settings = {**plain_settings(config), "rules": config.race_rules, "track_hashes": hashes}
@@ -125,7 +126,7 @@ def stage_scenarios(
         opponents = draw_policies(config, count, root)
         return draw_scenarios(
             config.planner,
-            config.tracks,
+            config.circuits(stage),
             config.rules_of(duration),
             opponents=opponents,
             rivals=tuple(dict.fromkeys((*rivals, *([champion] if champion else [])))),
@@ -137,7 +138,7 @@ def stage_scenarios(
 
     return (
         drawn(0, config.starts, config.duration),
-        drawn(1, config.choice_starts, config.duration),
+        drawn(1, 2 * config.starts, config.duration),
         drawn(2, config.final_starts, config.final_duration),
     )
 
@@ -151,8 +152,7 @@ def draw_policies(config: ArchiveConfig, count: int, root: np.random.SeedSequenc
     It varies less between small Latin hypercube samples than between independent draws.
     """
     planner = get_planner(config.planner)
-    varied = planner.indices(config.varied)
-    low, high = planner.bounds[varied].T
+    low, high = config.bounds.T
     drawn = low + latin_hypercube(count, len(low), np.random.default_rng(root)) * (high - low)
     return planner.complete(config.varied, drawn, config.start_policy.parameters)
 
@@ -227,7 +227,7 @@ class ArchiveRun:
         violation = self.violation(sampled)
         for number, signs in enumerate(config.directions):
             search = Search(
-                planner.bounds[varied],
+                config.bounds,
                 population=config.population,
                 step_size=config.step_size,
                 start=None if start is None else start[varied],

@@ -19,12 +19,14 @@ from pcs_racing.base.settings import (
     load_settings,
     read_settings,
 )
+from pcs_racing.base.typing import Floats
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import Rules, load_rules
 from pcs_racing_agents.base.configurations import shipped_configs
+from pcs_racing_agents.policies.evaluate import GENERATED
 
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
@@ -92,13 +94,14 @@ class ArchiveConfig(Settings):
         "Max share of crashes by own fault, in races of final_duration, of a policy in the"
         " archive; 1 keeps all. For the shorter races of the search it is converted with a constant"
         " crash rate.",
-    ] = 0.15
+    ] = 0.08
     candidates: Annotated[
         int, Interval(ge=3, le=10_000), "Policies that race again in the selection."
     ] = 240
     max_policies: Annotated[int, Interval(ge=3, le=10_000), "Maximum number of policies."] = 80
-    starts: Annotated[int, _STARTS, "Start lines on each track in the search."] = 2
-    choice_starts: Annotated[int, _STARTS, "Start lines on each track in the selection."] = 2
+    starts: Annotated[
+        int, _STARTS, "Start lines on each track in the search; twice as many in the choice."
+    ] = 2
     final_starts: Annotated[int, _STARTS, "Start lines on each track in the measurement."] = 3
     seed: Annotated[int, Interval(ge=0, le=2**63 - 1), "Seed of all random draws."] = 0
 
@@ -160,6 +163,16 @@ class ArchiveConfig(Settings):
         """Names of the parameters that the search varies."""
         return get_planner(self.planner).without(self.fixed)
 
+    @property
+    def bounds(self) -> Floats:
+        """Bounds of the varied parameters, shape (P, 2)."""
+        planner = get_planner(self.planner)
+        return planner.bounds[planner.indices(self.varied)]
+
+    def circuits(self, stage: int) -> tuple[str, ...]:
+        """Return the circuits of a stage: names and folders."""
+        return self.tracks
+
     def met(self, stage: int) -> tuple[int, tuple[str, ...]]:
         """Return the number of random opponents in a stage, and policies that are met as well."""
         raise NotImplementedError
@@ -179,8 +192,8 @@ class ArchiveConfig(Settings):
 class FrontConfig(ArchiveConfig):
     """A front of policies, none clearly better than another on all axes (the paper).
 
-    One search, against random policies of the same planner; by default 2,000 policies and 48 races
-    each.
+    One search, against random policies of the same planner; by default 2,000 policies and 96 races
+    each. A parameter ``pace`` is at most 1: a circuit's calibration allows no more.
     """
 
     selection: Annotated[str, OneOf(("pareto",)), "Kind of the archive."] = "pareto"
@@ -190,6 +203,16 @@ class FrontConfig(ArchiveConfig):
         "Opponents (random policies) in the search; twice as many in the selection, three times as"
         " many in the measurement.",
     ] = 4
+    generated: Annotated[
+        int,
+        Interval(ge=0, le=100),
+        "Generated circuits in addition to the tracks, in search and measurement.",
+    ] = 3
+    choice_tracks: Annotated[
+        Names,
+        "Circuits of the choice: who crashes too often on circuits that the search leaves out is no"
+        " member.",
+    ] = ("Pipkin", "Quillburg")
     min_coordinates: Annotated[
         tuple[float, ...] | None,
         "Min coordinate of a policy in the archive, one for each axis; None for no limit.",
@@ -202,6 +225,21 @@ class FrontConfig(ArchiveConfig):
                 f"min_coordinates is {self.min_coordinates!r}; it must list a number for each of"
                 f" {', '.join(self.axes)}"
             )
+
+    @property
+    def bounds(self) -> Floats:
+        """Bounds of the varied parameters, shape (P, 2), with a pace of at most 1."""
+        bounds = super().bounds.copy()
+        if "pace" in self.varied:
+            row = self.varied.index("pace")
+            bounds[row, 1] = min(bounds[row, 1], 1.0)
+        return bounds
+
+    def circuits(self, stage: int) -> tuple[str, ...]:
+        """Return the circuits of a stage: names and folders."""
+        if stage == 1:
+            return self.choice_tracks
+        return (*self.tracks, *(f"{GENERATED}{k}" for k in range(self.generated)))
 
     def met(self, stage: int) -> tuple[int, tuple[str, ...]]:
         """Return the number of random opponents in a stage, and no other policies."""

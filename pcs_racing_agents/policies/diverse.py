@@ -1,4 +1,4 @@
-"""Choice of diverse policies of an archive: determinantal point processes, greedy maximum.
+"""Choice of diverse policies of an archive: determinantal point processes.
 
 A k-DPP draws a set Y of k items with probability proportional to det(L_Y), the squared volume
 spanned by the items' features: the more similar two items are, the less often they appear together
@@ -7,31 +7,20 @@ spanned by the items' features: the more similar two items are, the less often t
 
 import numpy as np
 
-from pcs_racing.base.errors import check_choice, check_whole
+from pcs_racing.base.errors import check_whole
 from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.archive import PolicyArchive
 
-METHODS = {
-    "kdpp": "random, similar ones seldom together",
-    "map": "the set found by adding the item that enlarges the determinant most; not random",
-}
 SCALE = 0.2  # distance over which policies count as similar, in normalised units
 
 
-def select_diverse(
-    archive: PolicyArchive,
-    k: int,
-    method: str = "kdpp",
-    rng: np.random.Generator | int = 0,
-) -> Indices:
+def select_diverse(archive: PolicyArchive, k: int, rng: np.random.Generator | int = 0) -> Indices:
     """Choose ``k`` policies of an archive that lie far apart in its normalised coordinates.
 
     Parameters
     ----------
     k : int
         Number of policies to choose, 1 to the size of the archive.
-    method : {"kdpp", "map"}
-        See :data:`METHODS`.
     rng : numpy.random.Generator or int
         Generator or seed of the random choice.
 
@@ -41,10 +30,7 @@ def select_diverse(
         Indices of the policies, ascending, all different.
     """
     check_whole("k", k, 1, len(archive))
-    check_choice("method", method, METHODS)
     kernel = similarity(archive.normalised)
-    if method == "map":
-        return np.sort(greedy_map(kernel, k))
     return np.sort(sample_kdpp(kernel, k, np.random.default_rng(rng)))
 
 
@@ -104,22 +90,3 @@ def log_elementary_symmetric(logs: Floats, k: int) -> Floats:
     for n, log in enumerate(logs, start=1):
         table[1:, n] = np.logaddexp(table[1:, n - 1], log + table[:-1, n - 1])
     return table
-
-
-def greedy_map(kernel: Floats, k: int) -> Indices:
-    """Choose items one by one for the maximum det(L_Y), shape (k,), in the order of the choice.
-
-    The gain of an item is its squared distance from the span of the chosen items; it is updated as
-    in an incremental Cholesky factorisation. Of equal items the lowest index is chosen.
-    """
-    gains = np.diag(kernel).astype(np.float64)
-    rows = np.zeros((k, len(kernel)))
-    items = np.empty(k, np.int64)
-    for i in range(k):
-        items[i] = np.argmax(gains)
-        best = items[i]
-        # Next row of the Cholesky factor; a gain may be 0 where points coincide.
-        rows[i] = (kernel[best] - rows[:i, best] @ rows[:i]) / np.sqrt(max(gains[best], 1e-300))
-        gains = gains - rows[i] ** 2
-        gains[items[: i + 1]] = -np.inf
-    return items

@@ -7,6 +7,7 @@ draws happen once per run, so that policies differ by their driving and not by c
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple, TypeAlias, Unpack
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.typing import Floats, Indices
+from pcs_racing.envs.random_circuits import RandomCircuits, find_speeds, random_circuit
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.game.reward import reward, sum_winners
 from pcs_racing.planners.planner import Policy
@@ -24,14 +26,18 @@ from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.races import RaceSetup, race_keys, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.base.jobs import Arrays, Run, run_races
+
+GENERATED = "generated-"
+"""Beginning of the name of a circuit that is generated where it is raced; its number follows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scenarios:
     """The R races of every policy."""
 
-    tracks: tuple[str, ...]  #: Names or folders, which workers on other machines load themselves.
+    tracks: tuple[str, ...]  #: Names or folders, which workers load or generate themselves.
     config: Rules  #: Rules and duration.
     planner: str  #: Planner of the policies and of their opponents, except for rivals.
     characteristics: tuple[str, ...]
@@ -58,6 +64,19 @@ class Evaluation(NamedTuple):
     own_crash: Floats
     spread: Floats  #: shape (K, G): Standard error of the coordinates over draws of the races.
     score: Floats  #: shape (K,): Mean score (win 1, tie 1/2).
+
+
+def circuit(source: str, rules: Rules) -> Track:
+    """Return a circuit by its name or folder, or generate it with speeds found for the rules."""
+    number = source.removeprefix(GENERATED)
+    if number == source or not number.isdecimal():
+        return as_track(source)
+    return _generated(int(number), replace(rules, duration=None))
+
+
+@lru_cache(maxsize=16)
+def _generated(number: int, rules: Rules) -> Track:
+    return find_speeds(random_circuit(RandomCircuits(), number), rules)
 
 
 def draw_scenarios(
@@ -104,7 +123,7 @@ def draw_scenarios(
     for index, track in enumerate(tracks):
         # Each track has its own root: another track in the list changes no race on this track.
         lines, noise = np.random.SeedSequence(seed, spawn_key=(index,)).spawn(2)
-        places = start_lines(as_track(track), replace(rules, start_lines=starts), lines)
+        places = start_lines(circuit(track, rules), replace(rules, start_lines=starts), lines)
         start_s.append(places[line])
         key = int(noise.generate_state(1, np.uint64)[0])
         seeds.append(race_keys(rules, key, np.arange(len(line))))
@@ -174,7 +193,7 @@ def _meetings(scenarios: Scenarios) -> Iterator[tuple[RaceSetup, Indices, Floats
     for index, source in enumerate(scenarios.tracks):
         for family in families.values():
             members = [k for k, one in enumerate(opponents) if one.planner.name == family.name]
-            setup = RaceSetup(as_track(source), scenarios.config, (own, family))
+            setup = RaceSetup(circuit(source, scenarios.config), scenarios.config, (own, family))
             races = np.flatnonzero(
                 (scenarios.track == index) & np.isin(scenarios.opponent, members)
             )

@@ -23,7 +23,7 @@ from pcs_racing_agents.learning.responses import learn_response, load_response_s
 from pcs_racing_agents.learning.self_play import learn_self_play, load_self_play_settings
 from pcs_racing_agents.networks.network_files import save_network, save_network_set
 from pcs_racing_agents.networks.training import load_train_settings
-from pcs_racing_agents.policies.diverse import select_diverse
+from pcs_racing_agents.policies.selection import spread_out
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.report import write_report
 from pcs_racing_agents.study.study import Study
@@ -161,8 +161,7 @@ def fit_baselines(study: Study) -> None:
     # Candidates are spread over the archive: searching all policies of a large archive is wasteful.
     targets = None
     if len(study.archive) > FIXED_TARGETS:
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FITTING_SEED,)))
-        targets = select_diverse(study.archive, FIXED_TARGETS, "map", rng).tolist()
+        targets = sorted(spread_out(study.archive.normalised, FIXED_TARGETS).tolist())
     settings = {"archive": study.archive.content_hash}
     with open_job(study.folder / "open-loop" / "races", "fitting", settings) as job:
         for name, find in (

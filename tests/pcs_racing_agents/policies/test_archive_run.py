@@ -9,7 +9,8 @@ import pytest
 from long_jobs import SETTINGS, files
 from refusal import refused
 
-from pcs_racing import load_archive, load_track
+from pcs_racing import load_archive
+from pcs_racing.envs import RandomCircuits, random_circuit
 from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.registry import parse_policy
@@ -17,7 +18,7 @@ from pcs_racing.testing import check_archive
 from pcs_racing_agents.policies.archive_report import stated_settings
 from pcs_racing_agents.policies.archive_run import SpreadRun, stage_scenarios, synthesize
 from pcs_racing_agents.policies.config import FrontConfig, SpreadConfig, load_archive_config
-from pcs_racing_agents.policies.evaluate import race_policies, summarise
+from pcs_racing_agents.policies.evaluate import circuit, race_policies, summarise
 from pcs_racing_agents.policies.pareto import Scale, front_layers, hypervolume, non_dominated
 
 pytest.importorskip("cma")
@@ -36,7 +37,8 @@ TINY = FrontConfig(
     starts=1,
     crash_limit=0.4,
     candidates=16,
-    choice_starts=1,
+    generated=1,
+    choice_tracks=("Brackwater",),
     final_starts=1,
     seed=6,
 )
@@ -57,7 +59,6 @@ SPREAD = SpreadConfig(
     starts=1,
     crash_limit=1.0,
     candidates=8,
-    choice_starts=1,
     final_starts=2,
     max_policies=4,
     seed=5,
@@ -119,7 +120,8 @@ def test_the_manifest_states_settings_and_what_each_stage_left_out(made):
         "search_hypervolume_without_crash_limit": hypervolume(points),
     }
     assert {key: settings[key] for key in facts} == stated(facts)
-    assert "Tarnfjord " in settings["track_hashes"]
+    raced = [one.split()[0] for one in settings["track_hashes"].split(", ")]
+    assert raced == ["Pipkin", "Tarnfjord", "generated-0", "Brackwater"]
     reasons = ("choice_outside_limits", "choice_beaten", "choice_too_near_another")
     reasons += ("measurement_outside_limits", "measurement_beaten")
     assert settings["choice_candidates"] - sum(settings[why] for why in reasons) == len(archive)
@@ -172,6 +174,20 @@ def test_the_coordinates_come_from_races_of_their_own(made):
         "correlation_aggressiveness_restraint": np.corrcoef(found.coordinates.T)[0, 1],
     }
     assert {key: archive.settings[key] for key in facts} == stated(facts)
+
+
+def test_a_front_is_chosen_on_circuits_of_its_own_and_at_a_calibrated_pace(made):
+    """Nobody drives faster than the calibration of a circuit allows; opponents neither."""
+    search, choice, final = stage_scenarios(TINY)
+    assert search.tracks == final.tracks == ("Pipkin", "Tarnfjord", "generated-0")
+    assert choice.tracks == ("Brackwater",)
+    pace = LATTICE.parameter_names.index("pace")
+    assert LATTICE.bounds[pace, 1] > 1.0
+    for theta in (made[0].explored_parameters, choice.opponents, final.opponents):
+        assert theta[:, pace].max() <= 1.0
+    found = circuit("generated-0", TINY.race_rules)
+    assert found.content_hash == random_circuit(RandomCircuits(), 0).content_hash
+    assert found.calibration["paper"] != random_circuit(RandomCircuits(), 0).calibration["paper"]
 
 
 def test_policies_far_apart_lie_around_the_champion(spread):
@@ -306,9 +322,10 @@ def test_it_was_made_with_the_settings_and_circuits_that_ship(name):
         assert stated == value, key
     assert len(config.tracks) >= 3
     stated_hashes = archive.settings["track_hashes"].split(", ")
+    used = dict.fromkeys(config.circuits(0) + config.circuits(1))
     # The archive contest was also raced on other circuits.
-    for track, stated in zip(config.tracks, stated_hashes, strict=False):
-        assert stated == f"{track} {load_track(track).content_hash[:16]}"
+    for track, stated in zip(used, stated_hashes, strict=False):
+        assert stated == f"{track} {circuit(track, config.race_rules).content_hash[:16]}"
 
 
 def test_the_default_archive_lies_along_the_front():

@@ -2,7 +2,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 from refusal import refused
 
 from pcs_racing.game.archive import PolicyArchive
@@ -60,28 +59,8 @@ def test_draws_are_repeated_and_impossible_choices_refused():
     kernel = diverse.similarity(np.random.default_rng(0).uniform(size=(90, 2)) * 1e-3, 0.5)
     chosen = diverse.sample_kdpp(kernel, 70, np.random.default_rng(1))
     assert len(set(chosen.tolist())) == 70
-    for arguments, message in [
-        ({"k": 0}, "k is 0"),
-        ({"k": 31}, "k is 31"),
-        ({"k": 2, "method": "best"}, "method is 'best'"),
-    ]:
-        refused(message, diverse.select_diverse, archive, **arguments)
-
-
-@given(seed=st.integers(0, 10_000), size=st.integers(2, 8), data=st.data())
-def test_each_greedy_step_takes_the_item_that_enlarges_the_determinant_most(seed, size, data):
-    k = data.draw(st.integers(1, size))
-    kernel = diverse.similarity(np.random.default_rng(seed).uniform(size=(size, 2)), 0.5)
-    chosen = diverse.greedy_map(kernel, k).tolist()
-    assert len(set(chosen)) == k
-    for i in range(k):
-        others = [item for item in range(size) if item not in chosen[:i]]
-        volumes = [
-            np.linalg.det(kernel[np.ix_([*chosen[:i], item], [*chosen[:i], item])])
-            for item in others
-        ]
-        taken = volumes[others.index(chosen[i])]
-        assert taken >= max(volumes) - 1e-9
+    for k in (0, 31):
+        refused(f"k is {k}", diverse.select_diverse, archive, k)
 
 
 def test_diverse_sets_lie_farther_apart_than_random_ones():
@@ -97,4 +76,3 @@ def test_diverse_sets_lie_farther_apart_than_random_ones():
     drawn = [nearest_pair(diverse.select_diverse(archive, 8, rng=seed)) for seed in range(40)]
     anywhere = [nearest_pair(rng.choice(60, 8, replace=False)) for _ in range(40)]
     assert np.mean(drawn) > 1.5 * np.mean(anywhere)
-    assert nearest_pair(diverse.select_diverse(archive, 8, "map")) > np.mean(drawn)
