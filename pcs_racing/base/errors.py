@@ -211,7 +211,12 @@ def check_number(
         or (above is not None and not number > above)
     ):
         kind = "finite number" if minimum is maximum is above is None else "number"
-        raise error(f"{name} is {value!r}; it must be a {kind}{within(minimum, maximum, above)}")
+        hint = (
+            ", in YAML with a point, as 1.0e-2" if isinstance(value, str) and "e" in value else ""
+        )
+        raise error(
+            f"{name} is {value!r}; it must be a {kind}{within(minimum, maximum, above)}{hint}"
+        )
     return number
 
 

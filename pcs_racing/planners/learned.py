@@ -49,6 +49,9 @@ def read_learned(request: Request) -> Policy | None:
     """Return the policy of a trained planner's folder."""
     place = split_name(request.text)[0]
     if not place or folder_kind(place) not in LOADERS:
+        best = Path(place, "best")
+        if place and folder_kind(best) in LOADERS:
+            raise InputError(f"{place} is the folder of a training; its best network is {best}")
         return None
     return policy_of(load_planner(place), request.text)
 

@@ -550,7 +550,11 @@ def network_policy(
         if not isinstance(given, Mapping):
             raise InputError(f"{name}: {what} is {given!r:.80}; it must be a mapping by name")
     chosen = Planner(NAME, PARAMETERS).policy(dict(style or {})).parameters
-    arrays = {key: np.asarray(one) for key, one in tensors.items()}
+    # Tensors of torch that require a gradient have no array before they are detached.
+    arrays = {
+        key: np.asarray(one.detach() if hasattr(one, "detach") else one)
+        for key, one in tensors.items()
+    }
     numbers = [chosen, LATTICE.policy().parameters, flat_weights(check_tensors(name, arrays))]
     return _numbered().policy(np.concatenate(numbers), name)
 
@@ -589,7 +593,7 @@ def check_tensors(owner: Any, tensors: Mapping[str, NDArray[Any]]) -> Mapping[st
     """Return the tensors of a line planner; refuse others."""
     shapes = {f"{layer}.weight": shape for layer, shape in LAYERS.items()}
     shapes |= {f"{layer}.bias": shape[:1] for layer, shape in LAYERS.items()}  # type: ignore[misc]
-    for key in sorted(shapes.keys() | tensors.keys()):
+    for key in sorted(shapes.keys() | tensors.keys(), key=str):
         found = tensors[key].shape if key in tensors else None
         if found != shapes.get(key):
             raise InputError(

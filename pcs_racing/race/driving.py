@@ -222,7 +222,8 @@ def _drive_compiled(
         crew = Crew(pointers_of(shares, races), parts_for(settings, cars, moving))
         if compiling and runs:
             part(runs[0][0].arrays, 0, 0)
-    workers = min(threads or default_threads(), races, races * ticks // TICKS_OF_A_THREAD)
+    given = default_threads() if threads is None else check_whole("threads", threads, 1)
+    workers = min(given, races, races * ticks // TICKS_OF_A_THREAD)
     # A thread pool costs as much as some hundred steps.
     if workers <= 1:
         for track, first, last in runs:

@@ -22,6 +22,7 @@ from pcs_racing.planners.field.lidar_ppo import (
     read_lidar_planner,
     save_lidar_planner,
 )
+from pcs_racing.planners.racers import racer
 from pcs_racing.planners.scanning import BEAMS, MAX_RANGE, SCAN_SIZE, scan
 from pcs_racing.planners.view import OWN_PSI_DOT, OWN_V, PATH_POINTS
 
@@ -98,6 +99,10 @@ def test_what_is_written_is_read(folder):
     planner = load_lidar_planner(folder)
     assert planner.plan is load_lidar_planner(folder).plan  # compiled once
     assert planner.parameter_names == ("speed_share",)
+    folder.rename(folder.with_name("best"))
+    refused(
+        f"is the folder of a training; its best network is {folder.parent}", racer, folder.parent
+    )
 
 
 @pytest.mark.parametrize(

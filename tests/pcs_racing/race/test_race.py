@@ -284,6 +284,7 @@ def test_bad_arguments_are_refused(oval):
         (lambda *_: run_races("Pipkin", lattice(), lattice()), "'Pipkin'; it must be a Track"),
         (lambda *_: record_race("Pipkin", lattice(), lattice()), "'Pipkin'; it must be a Track"),
         (lambda _, setup, state, theta: advance(setup, state, theta, -2), "ticks is -2"),
+        (lambda _, *run: advance(*run, 2, threads=0), "threads is 0"),
         (
             lambda _, setup, state, theta: advance(setup, state, theta[..., :3], 2),
             r"theta .*\(1, 2, 3\)",
