@@ -50,7 +50,7 @@ def main() -> None:
     # 1. A race drawn by the seed; both cars drive their start policies for a step, without moves.
     first = np.random.default_rng(arguments.seed).integers(len(game.archive), size=2)
     start = draw_starts(game.track, game.setup.rules, 1, arguments.seed)
-    key = race_seeds(arguments.seed, 1)  # of the noise
+    key = race_seeds(arguments.seed, 1)  # seeds of the noise
     state = game.reset(key, policies=first, starts=start)
     print(
         f"{names[0]} (policy {first[0]}) against {names[1]} (policy {first[1]}) on"

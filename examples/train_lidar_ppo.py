@@ -240,7 +240,7 @@ class Run:
                 self.learner.load_state_dict(saved["learner"])
                 self.optimizer.load_state_dict(saved["optimizer"])
                 self.frozen, self.counts = saved["frozen"], saved["counts"]
-            except Exception:  # whatever torch makes of a damaged file, or of another script's
+            except Exception:  # any error of torch: a damaged file, or another script's
                 raise SystemExit(f"error: {self.file} is no checkpoint of this script") from None
             print(f"goes on after {self.counts['actions']:,} actions", flush=True)
 

@@ -238,7 +238,7 @@ class Run:
                     {key: one.numpy() for key, one in copy.items()} for copy in saved["frozen"]
                 ]
                 self.counts = saved["counts"]
-            except Exception:  # whatever torch makes of a damaged file, or of another script's
+            except Exception:  # any error of torch: a damaged file, or another script's
                 raise SystemExit(f"error: {self.file} is no checkpoint of this script") from None
             print(f"goes on after {self.counts['choices']:,} choices", flush=True)
 

@@ -97,7 +97,7 @@ class Pooled(NamedTuple):
 
 
 def pool(tables: Sequence[Table]) -> Pooled:
-    """Return the gains of the agents in each group of cells, in what all studies have."""
+    """Return the gains of the agents in each group of cells, in the cells of all studies."""
     common = [cell for cell in tables[0].training if all(cell in one.training for one in tables)]
     if not common:
         raise InputError("the studies have no circuit and opponent in common")

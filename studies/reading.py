@@ -1,4 +1,4 @@
-"""``python -m studies reading``: does a move depend on where the opponent stands, and can a reader
+"""``python -m studies reading``: does a move depend on the opponent's place, and can a reader
 predict it?
 """
 
@@ -131,8 +131,8 @@ def run(
     rules: RaceOptions,
     out: Annotated[Path, Option("folder for reading.csv", "DIR")],
 ) -> None:
-    """Race agents against policies that stay, and tell how well the opponent's place predicts their
-    moves.
+    """Race agents against policies that stay, and report how well the opponent's place predicts
+    their moves.
     """
     spec = make_game(None, load_archive(archive), rules.read())
     egos, rival = [competitor(name, spec) for name in agents], competitor("never-switch", spec)

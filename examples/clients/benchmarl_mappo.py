@@ -28,7 +28,7 @@ class BothCars(TaskClass):
 
     @property
     def steered(self) -> bool:
-        """Whether the agents steer; else they make moves."""
+        """True if the agents steer; else they make moves."""
         return self.name == "DRIVE_HEAD_TO_HEAD"
 
     def get_env_fun(

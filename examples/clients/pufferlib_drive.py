@@ -87,7 +87,7 @@ def main() -> None:
     envs.async_reset(seed=0)
     begun, steps, ends = time.process_time(), 0, []
     for _ in range(200):
-        observations, *_, infos, _, _ = envs.recv()  # of any version
+        observations, *_, infos, _, _ = envs.recv()  # any version
         assert observations is envs.observations, "the races write into the buffers"
         ends += infos
         envs.send(envs.action_space.sample())

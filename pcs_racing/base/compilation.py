@@ -77,7 +77,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 def identified(function: Callable[..., Any], content: bytes) -> Any:
     """Give a function that was compiled with constants the SHA-256 of the constants.
 
-    It stands as ``content_hash`` in fingerprints, where functions are else equal.
+    Fingerprints read it as ``content_hash``; without it, they take functions as equal.
     """
     function.content_hash = sha256(content).hexdigest()  # type: ignore[attr-defined]
     return function
@@ -107,7 +107,7 @@ def first_call(dispatcher: Any, what: str, effort: float) -> AbstractContextMana
 
     Print a line to stderr if the function is neither in memory nor in numba's cache on disk:
     ``what`` is compiled, in about ``effort`` times the duration of `_compile_sample`, or another
-    process compiles it. A second line tells how long it took if that was over 5 s.
+    process compiles it. A second line gives the duration if it was over 5 s.
 
     Yield True if the function is about to be compiled. A caller with long work can then call it
     without any work, so that other processes wait for the compilation alone.

@@ -110,7 +110,7 @@ class Option:
 
     kind: Any  #: Type without its notes and without None.
     notes: tuple[Any, ...]  #: Notes behind the type, its meaning among them.
-    default: Any  #: ``dataclasses.MISSING`` if there is none.
+    default: Any  #: Default value; ``dataclasses.MISSING`` without one.
 
     @property
     def meaning(self) -> str:

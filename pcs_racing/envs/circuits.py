@@ -105,7 +105,7 @@ class Circuits:
         if state[3] != self._identity:
             raise InputError(
                 "the state's circuits have other content hashes than the circuits of this"
-                " environment; use what get_state returned in an environment of equal arguments"
+                " environment; use the get_state() of an environment with equal arguments"
             )
         last = len(self._listed) - 1 if self._builder is None else self._builder.settings.count - 1
         check_within("the state's circuits", state[0], 0, last)

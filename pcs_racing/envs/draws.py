@@ -39,7 +39,7 @@ from pcs_racing.race.state import MAX_CARS
 CHOICE, LOG_UNIFORM, NORMAL, UNIFORM = "choice", "log_uniform", "normal", "uniform"
 ALL, EACH = "all cars", "each"
 CARS = tuple(f"car_{car}" for car in range(MAX_CARS))
-SMALLEST = 1e-6  # of a draw with a uniform logarithm
+SMALLEST = 1e-6  # min of a draw with a uniform logarithm
 CUT = 5.0  # standard deviations from the mean to the ends of a normal draw
 FLAT = 1e3  # range of the field; a normal draw with a larger deviation is uniform
 

@@ -253,8 +253,7 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
 
     Agents are `car_0` to `car_7`. Opponents replace agents: `opponent` takes the last car,
     `opponents` the last cars. :class:`pcs_racing.envs.drive_options.HeadToHeadOptions` lists all
-    arguments; they are given by name. `max_cycles` is the number of steps after which an episode is
-    truncated.
+    arguments; they are given by name. An episode is truncated after `max_cycles` steps.
 
     ## Vectorized environment
 

@@ -100,7 +100,7 @@ class Limits(NamedTuple):
 class RewardTerms(NamedTuple):
     """Terms of the reward, and the end of a race that it depends on."""
 
-    weights: tuple[float, float, float]  #: As in :func:`step_reward`.
+    weights: tuple[float, float, float]  #: Weights of :func:`step_reward`.
     decided: bool  #: Flag: the end of the time decides a race, and terminates it.
 
 
@@ -117,7 +117,7 @@ def step_reward(own, opponent, fault, weights):
 
 
 class Orders(NamedTuple):
-    """Orders of a step: how long to drive, and who drives how."""
+    """Orders of a step: its duration, and the drivers with their commands."""
 
     advance: Any  #: Address of `advance_races`.
     observe: Any  #: Address of `observe_races`.

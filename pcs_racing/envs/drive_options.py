@@ -249,7 +249,7 @@ class DriveOptions(RaceOptions):
 
     @cached_property
     def sees_handicap(self) -> bool:
-        """Whether the own handicap is observed: where the rules give any."""
+        """True if the own handicap is observed: under rules with handicaps."""
         return load_rules(self.rules).gives_handicaps
 
     @property
@@ -381,7 +381,7 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
             ),
             Element("lead", "m", -1000.0, 1000.0, "own progress minus progress of the opponent"),
         ]
-        # Of several opponents the nearest comes first.
+        # The nearest opponent comes first.
         for k in range(max(1, cars - 1)):
             nth = f" {k + 1}" if k else ""
             elements += [

@@ -236,8 +236,7 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv):
 
     ## Arguments
 
-    The arguments of `DuelEnv`. `max_cycles` is the number of steps after which an episode is
-    truncated.
+    The arguments of `DuelEnv`. An episode is truncated after `max_cycles` steps.
 
     ## Vectorized environment
 

@@ -20,8 +20,8 @@ class LineEnv(ScalarEnv):
     ## Description
 
     :class:`pcs_racing.envs.drive.DriveEnv` with another action: the lattice planner lays 64
-    candidates, 16 moves across the track at 4 speeds, and the agent chooses the one that its car
-    follows for 0.1 s. Walls and grip are known to the candidates; what is left to learn is racing.
+    candidates, 16 moves across the track at 4 speeds, and the agent chooses a candidate, which
+    its car follows for 0.1 s. The candidates know walls and grip; the agent learns racing.
     The planner ``line-ppo`` learned here; ``CandidatePolicy`` of ``pcs_racing_agents.learning``
     begins as the lattice, and its models race anywhere. Tracks, cars, opponents, rules and
     obstacles are as in `DriveEnv`; the default rules are "contest".
@@ -29,8 +29,8 @@ class LineEnv(ScalarEnv):
     ## Action Space
 
     ``Discrete(64)``: candidate ``c`` has the speed ``c // 16`` and the move ``c % 16``.
-    ``action_masks()`` and ``info["action_mask"]`` are 0 for a rejected candidate: one that costs
-    far more than the cheapest, because it meets a wall or the opponent. The cheapest, the choice of
+    ``action_masks()`` and ``info["action_mask"]`` are 0 for a rejected candidate: its cost is
+    far above the cheapest, because it meets a wall or the opponent. The cheapest, the choice of
     the lattice, replaces a rejected one, and ``info["replaced"]`` is 1.
 
     ## Observation Space

@@ -68,7 +68,7 @@ class LineTerms(NamedTuple):
 
 
 class LineOrders(NamedTuple):
-    """Orders of a step: how long to drive, and who drives how."""
+    """Orders of a step: its duration, and the drivers with their commands."""
 
     advance: Any  #: Address of `advance_races`.
     observe: Any  #: Address of `observe_lines`.
@@ -119,7 +119,7 @@ def take_choices(inputs, races, actions, choices, first, last, buffers):
 
 @inner_kernel
 def _see(inputs, races, choices, race, car, buffers, out):
-    """Describe the candidates of a car, and keep those of a player for the next step."""
+    """Describe the candidates of a car; a player's candidates are also stored for the next step."""
     track, settings, sight = inputs
     state, scratch, plays = races.state, buffers.scratch, car < sight.players
     memory = state.memory[race, car] if plays else buffers.memory

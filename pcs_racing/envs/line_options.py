@@ -149,8 +149,7 @@ def split_observation(observations: Any) -> dict[str, Any]:
     """
     if observations.shape[-1] != len(LINE_ELEMENTS):
         raise InputError(
-            f"observations have {observations.shape[-1]} numbers; those of Line have"
-            f" {len(LINE_ELEMENTS)}"
+            f"observations have {observations.shape[-1]} numbers; Line's have {len(LINE_ELEMENTS)}"
         )
     found = {}
     for name, (first, features, items) in PARTS.items():

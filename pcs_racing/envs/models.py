@@ -115,7 +115,8 @@ class ModelDriver:
         state = getattr(getattr(self.model, "policy", self.model), "state_dict", None)
         if own is None and not callable(state):
             raise InputError(
-                f"results of {self.name!r} can't be kept in a folder: give the model a content_hash"
+                f"results of {self.name!r} can't be saved in a folder: give the model a"
+                " content_hash"
             )
         about = drive_arguments(self.options, self.cars)
         digest = hashlib.sha256(f"{own} {about}".encode())

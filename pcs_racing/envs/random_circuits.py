@@ -98,7 +98,7 @@ def random_circuit(settings: RandomCircuits, index: int) -> Track:
             refusal = error
             continue
         return track
-    raise MapError(f"no circuit came of {settings} in {TRIES} attempts: {refusal}")
+    raise MapError(f"no circuit from {settings} in {TRIES} attempts: {refusal}")
 
 
 def find_speeds(track: Track | str, rules: Rules | str = "contest", *, threads: int = 1) -> Track:

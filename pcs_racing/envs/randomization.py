@@ -343,7 +343,7 @@ class EpisodeRandomization:
             if name not in drawn and (found != own).any():
                 raise InputError(
                     f"the state's cars have {name} {found[found != own][0]:g}, this environment's"
-                    f" {own[0]:g}; use what get_state returned in an environment of equal arguments"
+                    f" {own[0]:g}; use the get_state() of an environment with equal arguments"
                 )
 
     def set_state(self, state: tuple[Any, ...], tracks: Sequence[Track]) -> None:

@@ -14,7 +14,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from gymnasium.wrappers.utils import RunningMeanStd
 
-_RESET = "of gym 0.21"  # option or info that carries what a reset of gym takes or returns
+_RESET = "of gym 0.21"  # option or info with the arguments or results of gym's reset
 _RENAMED = {"f": "func", "num_stack": "stack_size", "deque_size": "buffer_length"}
 
 

@@ -19,7 +19,7 @@ from pcs_racing.race.painting import COLOURS, FINER, Camera, paint_car
 from pcs_racing.race.rendering import Window
 
 PIXELS = 50.0  # per metre, in drawings by callbacks of generation A
-SIDE, ZOOM = 800, 1.5  # of frames of generation B: pixels, and pixels per cell of the map
+SIDE, ZOOM = 800, 1.5  # frames of generation B: pixels, and pixels per cell of the map
 HALF_SIZE = np.array([0.5 * F1TENTH.length, 0.5 * F1TENTH.width])
 
 Frame = NDArray[np.uint8]

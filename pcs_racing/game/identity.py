@@ -53,9 +53,9 @@ def check_same_game(
 ) -> None:
     """Check that two games have the same number of moves, observations, moves and archive.
 
-    The move "stay" is not compared: a player may always stay, and one that never stays plays the
-    same game. The names of rules and archive may differ: an artifact made under other rules may be
-    tried. The owners name the artifacts or games in the message.
+    The move "stay" is not compared: a player may always stay, and a player without "stay" plays
+    the same game. The names of rules and archive may differ: an artifact made under other rules may
+    be tried. The owners name the artifacts or games in the message.
     """
     if own.decisions and other.decisions and own.decisions != other.decisions:
         raise InputError(

@@ -65,7 +65,7 @@ def encode_observation(
 
     The arrays are fields of :class:`pcs_racing.game.state.GameState`, for ``N = moves + 1`` steps;
     ``step`` is the last finished step. The elements of later steps are 0 for any arrays.
-    ``handicaps``, shape (B, 2), are those of the cars, None for rules without handicaps.
+    ``handicaps`` of the cars have the shape (B, 2); None for rules without handicaps.
     """
     games, steps = leads.shape
     axes = own.shape[-1]

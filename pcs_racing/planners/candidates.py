@@ -76,7 +76,7 @@ BRAKING = 4.5  # m/s^2, braking down to the speed of a bend
 OWN_BRAKING, OPPONENT_BRAKING, ACCELERATION = 4.4, 4.4, 5.0  # m/s^2, limits in predictions
 
 SIGHT = 12.0  # m, max distance of a predicted opponent
-CLOSE = 4.0  # m along the track, max distance at which a predicted opponent costs
+CLOSE = 4.0  # m along the track, max distance of a predicted opponent that costs
 BUMPER_AIR = 0.3  # m to keep ahead of a passed opponent, and behind an opponent
 UNSURE = 0.04  # m of uncertainty added per step, unless the car follows and can correct
 MOVE_TIME = 0.4  # s, duration of an opponent's sideways motion
@@ -177,7 +177,7 @@ class Situation(NamedTuple):
     opponent_d: float  #: Opponent's distance from the race line, m.
     opponent_v: float  #: Opponent's speed, m/s.
     reach: float  #: Gap below which the cars are level, m.
-    body: float  #: Distance across at which the cars touch, m.
+    body: float  #: Distance across between touching cars, m.
     meets: bool  #: The opponent is near enough for a prediction.
     gives_way: bool  #: The opponent has the right of way.
     follows: bool  #: The own car keeps a distance behind the opponent.
@@ -186,7 +186,7 @@ class Situation(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Place from which the moves begin: the last plan's point at the own car."""
+    """Start place of the moves: the last plan's point at the own car."""
 
     d: float  #: Distance from the race line, m.
     slope: float  #: Change of the distance along the line.
@@ -318,7 +318,7 @@ def _pace_now(pace, pace_behind, gap):
 
 @inner_kernel
 def _following_speed(scratch, s, first):
-    """Return the max speed at ``s`` from which uniform braking keeps `FOLLOW_GAP` to the opponent.
+    """Return the max speed at ``s`` with room to brake uniformly `FOLLOW_GAP` behind the opponent.
 
     The predicted opponent counts from step ``first`` on. So a car begins to fall back before the
     car ahead brakes: at half of the speed, the same time between two cars is half of the distance.
@@ -578,7 +578,7 @@ def _predict_opponent(view, now, scratch):
         t = (k + 1) * HORIZON_STEP
         d = now.opponent_d
         if not now.beside:
-            # Sideways motion goes on for a while; a policy may have its own reasons for a position.
+            # Sideways motion continues for a while; a policy may have reasons for a position.
             d += view[_view.OPP_D_DOT] * t / (1.0 + t / MOVE_TIME)
         row, share = _metre_at(driven)
         low = min(room - scratch[rows.RIGHT + row], 0.0)
@@ -622,9 +622,9 @@ def meet_opponent(scratch, now, start, f, g, side_reach, w_near, most):
     s0, reach, body = now.s, now.reach, now.body
     falls_back = f == FOLLOWS
     unsure = 0.0 if falls_back else UNSURE
-    wrong = WRONG_WAY if now.gives_way != falls_back else 1.0  # one falls back, one goes on
-    # A car with the right of way goes on, and avoids only imminent contact: if both held back, they
-    # would stay side by side into the next bend.
+    wrong = WRONG_WAY if now.gives_way != falls_back else 1.0  # one car falls back, one drives on
+    # A car with the right of way drives on, and avoids only imminent contact: if both held back,
+    # they would stay side by side into the next bend.
     rejects = REJECT_STEPS if now.gives_way else RIGHT_STEPS
     later = LATER if now.gives_way and not falls_back else 0.0
     goal, a, b = scratch[rows.GOAL_D + g], scratch[rows.A + g], scratch[rows.B + g]

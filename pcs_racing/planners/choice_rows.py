@@ -1,7 +1,7 @@
 """Features of ``line-ppo``, and their rows in its scratch, after the rows of the candidates.
 
 The numbers are offsets: ``scratch[MOVE_AIR + g]`` is a feature of the move ``g``. All features are
-of order one. *Near* is the nearness of the opponent: 1 beside the own car, 0 out of sight.
+of order one. *Near* is the nearness of the opponent: 1 next to the own car, 0 out of sight.
 """
 
 from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SCRATCH, SPEEDS
@@ -62,7 +62,7 @@ MOVE_FEATURES = {
 SPEED_FEATURES = {
     "gain": "speed after 1.25 s minus the own speed, in 3 m/s",
     "braked": "change of the speed within 0.75 s, in 3 m/s",
-    "attack": "share by which an attack drives farther",
+    "attack": "farther drive of an attack, as a share",
     "ahead": "distance beyond the profile's, in 4 m",
     **{f"is speed {k}": f"1 for the speed {k}" for k in range(SPEEDS)},
 }

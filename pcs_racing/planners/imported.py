@@ -73,7 +73,7 @@ class _Drive:
                 f"{self.name} has no driver: a class with a method {' or '.join(METHODS)}, or a ROS"
                 " node"
             )
-        #: By the number in the memory of a car: its driver, and the states of its generators.
+        #: Driver and states of its generators, by the number in the memory of the car.
         self._racing: dict[float, tuple[list[Any], list[Any]]] = {}
         self._numbers = count((os.getpid() << 24) + 1)
 

@@ -1,4 +1,4 @@
-"""Learned planners from folders, whatever their kind."""
+"""Learned planners of all kinds, from folders."""
 
 from collections.abc import Iterable
 from dataclasses import replace

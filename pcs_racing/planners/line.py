@@ -202,7 +202,7 @@ def sharpest_bend(track, s, reach, step):
 
 @kernel
 def lane_fits(track, view, keep, lane):
-    """Return whether a lane leaves ``keep`` (m) to the walls wherever it is off the race line."""
+    """Return whether a lane leaves ``keep`` (m) to the walls everywhere off the race line."""
     step = lane_step(view)
     for j in range(LANE_POINTS):
         sample = track.line[line_index(track, view[_view.OWN_S] + j * step)]

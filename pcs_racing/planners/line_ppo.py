@@ -14,7 +14,7 @@ onto one scale, so that a correction of order one can overrule any of them.
 Unlike in the lattice, an attack is laid at any time: for a car in front, too.
 
 The parameters of the planner are its style. In training every car drew a style for each race. The
-style shapes the candidates (speeds, air beside the opponent), is an input of the network, and set
+style shapes the candidates (speeds, air next to the opponent), is an input of the network, and set
 the prices of the car's rewards: one network, a family of policies.
 
 The first layer of the network is a sum of four parts: of the situation, of the move, of the speed
@@ -61,7 +61,7 @@ from pcs_racing.track import frenet as _frenet
 
 NAME = "line-ppo"
 
-WINDOW = 200.0  # cost above the min cost, from which on a candidate is rejected
+WINDOW = 200.0  # max cost above the min cost; beyond it a candidate is rejected
 EASED = 4.0  # cost of ten times the overlap with the opponent, above the window
 SHARPNESS, SOFT = 5.0, 0.01
 UNASKED = 1.0  # cost of an attack that the lattice would not lay, above the profile's cost
@@ -101,7 +101,7 @@ PARAMETERS = (
 RISK, ASSERTIVENESS, PACE, PACE_BEHIND = range(4)
 STYLE = len(PARAMETERS)
 DEFAULT_STYLE = tuple(one.default for one in PARAMETERS)
-SIDE_MARGINS = (0.4, 0.1)  # m, air beside the opponent at assertiveness 0 and 1
+SIDE_MARGINS = (0.4, 0.1)  # m, air next to the opponent at assertiveness 0 and 1
 
 LAYERS = {
     "context": (INNER, CONTEXT),

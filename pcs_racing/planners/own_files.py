@@ -31,7 +31,7 @@ _PREFIX = "drivers of "
 _TICK = 1e-5  # s added by each reading of the clock, so that a loop that waits for a time ends
 _CLOCKS = ("time", "monotonic", "perf_counter", "process_time", "thread_time")
 _OURS = {"pcs_racing", "pcs_racing_agents"}
-_ENDS = (".py", os.sep)  # of a module or package in a folder
+_ENDS = (".py", os.sep)  # a module, or a package in a folder
 
 _files: dict[Path, "_OwnFile"] = {}
 _lock = RLock()  # held while a file's code runs: it has the modules and generators of the process

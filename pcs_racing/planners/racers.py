@@ -1,6 +1,6 @@
-"""The door of all who race: a text or an object becomes a policy, a set of policies or an agent.
+"""Readers of racers: a text or an object becomes a policy, a set of policies or an agent.
 
-Every place that asks who drives reads the answer with :func:`racer`. The kinds of racers have one
+Every place that asks for a driver reads the answer with :func:`racer`. The kinds of racers have one
 reader each (:data:`READERS`); a distribution adds readers in the entry point group
 ``pcs_racing.racers``. A reader is imported at the first request, so planners need no import from
 the floors above them.
@@ -42,7 +42,7 @@ Racer = Any
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A question who races, with the place that asks."""
+    """A question for a driver, with the place that asks."""
 
     given: Any  #: Text without outer spaces, or an object.
     game: Any = None  #: Game of the place, or a function that makes it; None if policies race.

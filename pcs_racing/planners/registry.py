@@ -120,7 +120,7 @@ copyreg.pickle(Planner, _by_place)
 
 
 ANY = "any"
-"""Variant that stands for all variants of a planner."""
+"""Variant that means all variants of a planner."""
 
 
 def read_planner(request: Request) -> Policy | PolicySet | None:

@@ -15,7 +15,7 @@ from typing import Any
 
 from pcs_racing.base.errors import say_once
 
-SILENCE = 1.0  # s from the start, after which a node without a command is reported
+SILENCE = 1.0  # s from the start; a node without a command is then reported
 HEARD = ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "LaserScan")
 """Messages that a node can subscribe to, in the order of their callbacks."""
 

@@ -25,13 +25,13 @@ from pcs_racing.track.frenet import SPEED, X, Y
 from pcs_racing.track.track import Calibration, Track
 
 SCALES = tuple(np.round(np.arange(0.60, 1.801, 0.05), 2).tolist())
-# where the bends of the race line ask for all that the tyres' friction gives: mu g = 10.3 m/s^2
+# the bends of the race line need the whole friction of the tyres: mu g = 10.3 m/s^2
 FRICTION_SCALE = 1.43
 HAZARD_WITHOUT_NOISE, WIDTH_WITHOUT_NOISE = 0.10, 0.30
 HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.50, 0.40
 CRASH_AIM = 0.08  # max share of races of two cars that crash without noise ...
 ALLOWED_OF_PAIRS = 0.07  # ... and of the races that are counted, whose share errs by 0.005
-PAIR_STEP, PAIR_STEPS = 0.05, 6  # by which the speed scales fall where more do, and how often
+PAIR_STEP, PAIR_STEPS = 0.05, 6  # step of the speed scales down where more crash, and max steps
 # m; other distances across the track are tried in such steps up and down
 SPACING_STEP, SPACING_STEPS = 0.1, 4
 NARROWEST = {"side-by-side": 0.5, "staggered": 0.0, "rolling": 0.0}  # m between the cars' centres
@@ -69,9 +69,7 @@ class CalibrationReport:
 
 
 def _scan_settings(rules: Rules, speed_range: tuple[float, float]) -> KernelSettings:
-    """Settings under which a crash ends a race, whatever it does under the rules: crashes are what
-    is counted.
-    """
+    """Settings for a count of crashes: a crash ends a race, under all rules."""
     return kernel_settings(rules, speed_range)._replace(contact=END, most_faults=0)
 
 
@@ -90,8 +88,8 @@ def hazard_scan(
 
     Cars with the default lattice policy start on the race line at its speed, spread evenly around
     the circuit, and drive for some seconds; each race holds two of them, half a lap apart, so their
-    number is even. The steering noise of the rules is what makes the hazard smooth. The scan ends
-    after the first scale whose hazard is above ``enough``.
+    number is even. The steering noise of the rules makes the hazard smooth. The scan ends after
+    the first scale whose hazard is above ``enough``.
     """
     if cars < 2 or cars % 2:
         raise InputError(f"cars is {cars}; it must be an even number from 2")
@@ -131,14 +129,14 @@ def calibrate(
 ) -> CalibrationReport:
     """Find the speed range of a circuit for a race configuration, and the places to start from.
 
-    Pace 1 is the scale at which a car alone crashes in 50 % of 40 s, and pace 0 lies 0.40 below.
+    Pace 1 is the scale with crashes of 50 % of single cars in 40 s, and pace 0 lies 0.40 below.
     Without steering noise (rules ``paper``) the hazard is nearly a step: there pace 1 is the scale
     of 10 %, and pace 0 lies 0.30 below; both are lowered in steps of 0.05 until pairs of cars
     rarely crash, and a line says where that can't be met. No pace asks for more than the friction
     of the tyres: the vehicle model would give it, a road would not.
 
-    Start places are those from which pairs of drivers get away (`pcs_racing.race.start_places`).
-    Where none is left with the rules' distance across the track, the nearest distance that
+    Pairs of drivers get away from the start places (`pcs_racing.race.start_places`). Where none is
+    left with the rules' distance across the track, the nearest distance that
     works is taken. A circuit that is too tight for these cars is an error.
     """
     noisy = rules.steering_noise > 0.0
@@ -219,9 +217,7 @@ def _highest(hazard: NDArray[np.float64], allowed: float) -> float:
 
 
 def _crossing(scales: NDArray[np.float64], hazard: NDArray[np.float64], level: float) -> float:
-    """Scale at which a hazard that begins below a level first exceeds it; the last scale if it
-    never does.
-    """
+    """Scale where a hazard first exceeds a level; the last scale if it never does."""
     above = np.flatnonzero(hazard > level)
     if len(above) == 0:
         return float(scales[-1])

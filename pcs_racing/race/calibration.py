@@ -1,7 +1,7 @@
 """Calibration of a circuit for all shipped rules: its speed range and its start places.
 
 Shipped circuits carry their calibration. Any other circuit is calibrated by driving when rules
-ask for it (:mod:`pcs_racing.race.calibrating`); the result is kept in the cache folder (see
+ask for it (:mod:`pcs_racing.race.calibrating`); the result is saved in the cache folder (see
 `pcs_racing.track.cache`) and depends on nothing but the circuit and the rules.
 """
 
@@ -49,7 +49,7 @@ def starts_for(track: Track, rules: Rules) -> Calibration:
     """Return the calibration with the start places for rules.
 
     It is the calibration of the shipped rules if these start alike; another kind of start is tried
-    by driving, once, and kept in the cache.
+    by driving, once, and saved in the cache.
     """
     calibration = calibration_of(track, rules)
     if start_layout(rules) == start_layout(known_rules(rules)):
@@ -105,7 +105,7 @@ def _cached(
         except (KeyError, ValueError, TypeError):
             pass  # a damaged file is as good as none
     folder = cache_folder()
-    kept = f"once; kept in {folder}" if folder is not None else "there is no folder to keep it in"
+    kept = f"once; saved in {folder}" if folder is not None else "there is no folder to save it"
     start = time.monotonic()
     say(f"finding {what} of track {track.name!r} for {known.name!r} by driving ({kept})")
     calibration = find()

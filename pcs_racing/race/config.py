@@ -42,8 +42,8 @@ def _printable(name: str, value: Any) -> str:
 
 
 def _steps(name: str, value: Any) -> tuple[float, ...]:
-    """Return lengths of a game's steps: whole tenths of a second, in which plans are made; the
-    first one may be 0.
+    """Return lengths of a game's steps: whole tenths of a second, the period of the plans; the
+    first length may be 0.
     """
     lengths = value if isinstance(value, list | tuple) else []
     whole_tenths = [
@@ -283,7 +283,7 @@ class Rules(Settings):
 
     @property
     def gives_handicaps(self) -> bool:
-        """Whether the car in front at the start is slower than its driver commands."""
+        """True if the car in front at the start is slower than its driver commands."""
         return self.front_pace[0] < 1.0 and self.start != "side-by-side"
 
     @property
@@ -303,7 +303,7 @@ class Rules(Settings):
 
     @cached_property
     def end_ticks(self) -> NDArray[np.int64]:
-        """Simulation step of 0.01 s at which each step of the game ends, shape (moves + 1,).
+        """End of each step of the game, in simulation steps of 0.01 s, shape (moves + 1,).
 
         A move is made at all of them but the last.
         """
@@ -323,7 +323,7 @@ class Rules(Settings):
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """Time at which each step of the game ends, s."""
+        """End time of each step of the game, s."""
         return tuple(float(tick) / 100.0 for tick in self.end_ticks)
 
     @property

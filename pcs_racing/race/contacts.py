@@ -23,7 +23,7 @@ END, STOP, RESTART = range(3)  # as in `pcs_racing.race.config.CONTACTS`
 
 BEHIND = 2.0  # m: distance behind the other car or an obstacle, and between two tried places
 TRIES = 20
-DRIVES_AGAIN = 1.0  # m/s: below it the last contact goes on, so that pushing a wall is one fault
+DRIVES_AGAIN = 1.0  # m/s: below it the last contact continues, so that pushing a wall is one fault
 MAX_FAULTS = 127
 
 
@@ -78,7 +78,7 @@ def _set_back(near, track, state, race, car, s, vehicles, mode, before):
 
 @inner_kernel
 def _note(fault, contact, race, car, kind, blamed):
-    """Record the kind of a car's contact; count its fault unless the last contact goes on."""
+    """Record the kind of a car's contact; count its fault unless the last contact continues."""
     if blamed and contact[race, car] == _state.NO_CRASH:
         fault[race, car] = min(fault[race, car] + 1, MAX_FAULTS)
     contact[race, car] = kind

@@ -115,7 +115,7 @@ class Races(NamedTuple):
 class Parts(NamedTuple):
     """Addresses of the kernels that only some races need; 0 in races without a use for them.
 
-    So nobody compiles or runs them without need, and the loop is compiled once for all races.
+    So no race compiles or runs them without need, and the loop is compiled once for all races.
     """
 
     ittc: Any = 0  #: Samples of the minimum time to collision.
@@ -274,7 +274,7 @@ def _look_around(track, state, vehicles, settings, race, car, view):
 
 @inner_kernel
 def _sense(track, state, vehicles, settings, race, car, view):
-    """Change an exact view into what a car measures, with the errors of its sensors."""
+    """Change an exact view into a car's measurements, with the errors of its sensors."""
     own, tick, seed = vehicles[car], state.tick[race], state.seed[race]
     view[_view.SCAN_KEY] = scan_key(own, seed, car, tick)
     other = _look(track, state, vehicles, settings, race, car, view)

@@ -238,7 +238,7 @@ def paint_names(
         half = 0.5 * (box[2:] - box[:2])
         half_length = half_sizes[car, 0] * camera.scale / FINER
         gap = 4.0 + (_ARROW_SIZE * 1.7 if half_length < _MIN_CAR else _AHEAD[0][0] * half_length)
-        # Distance at which the box of the text, in this direction, ends a gap before the car.
+        # The box of the text, in this direction, ends a gap before the car.
         reach = gap + float(np.min(half / np.maximum(np.abs(away), 1e-6)))
         low = half + np.array([0.0, top])
         middle = np.clip(places[car] + away * reach, low, np.maximum(image.size - half, low))

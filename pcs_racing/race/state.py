@@ -113,8 +113,8 @@ class RaceState(NamedTuple):
 
     @property
     def finish_time(self) -> NDArray[np.float64]:
-        """Time at which each car ended the last lap of the race, s, shape (B, N); infinite for a
-        car that did not, and in a race by time.
+        """End time of each car's last lap of the race, s, shape (B, N); infinite for a car that did
+        not end it, and in a race by time.
         """
         wanted = self.laps.shape[2] - LAP_COLUMNS
         done = (self.laps[..., LAPS] >= wanted) & (wanted > 0)

@@ -38,7 +38,7 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
     (functions called by them are not checked). All numbers must stay finite, and the parameters
     unchanged. A race must end the same if repeated, run alone, or cut in pieces. With the default
     policy the cars must move. Opponents beyond the planner's ``sight`` must make no difference,
-    except by which car leads. ``seconds``, the length of the races, is a multiple of 0.4.
+    except by the order of the cars. ``seconds``, the length of the races, is a multiple of 0.4.
     """
     setup = RaceSetup(track, load_rules(PAPER, duration=seconds), (planner, planner))
     rng = np.random.default_rng(seed)

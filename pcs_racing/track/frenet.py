@@ -210,7 +210,7 @@ def project(track, x, y, hint):
     The walk starts at the arc length ``hint`` (any real number; it is wrapped) and ends at the
     sample nearer than the next: O(1) while driving. Newton's method then finds the foot of the
     perpendicular on one of the two adjacent cubics. So s, in [0, length), and d are continuous in x
-    and y, and `to_cartesian` inverts the projection, wherever the line's centre of curvature is
+    and y, and `to_cartesian` inverts the projection, if the line's centre of curvature is
     farther away than the line (``1 - kappa * d > 0``). Beyond it there may be no perpendicular
     foot; the end of a cubic is then used.
     """

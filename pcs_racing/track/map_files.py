@@ -190,7 +190,7 @@ def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str)
     """Parse 10 to 100,000 rows of finite numbers, shape (K, columns), and skip '#' comments."""
     try:
         text = io.StringIO(data.decode("utf-8-sig"))
-        with warnings.catch_warnings(action="ignore"):  # of a file without rows
+        with warnings.catch_warnings(action="ignore"):  # a file may have no rows
             rows = np.loadtxt(text, delimiter=separator, ndmin=2)
     except UnicodeDecodeError as error:
         raise MapError(f"{file} is no text: a csv file is needed") from error

@@ -24,8 +24,8 @@ It sways once in 4 s, first to the left, or to the right with a negative number.
 
 # Columns of ``TrackArrays.moving``: arc length at time 0 (m), speed along the race line (m/s),
 # heading relative to the line (rad), half length and half width (m; 0 for a circle, whose radius is
-# the half length). The offsets from the line (m) of the two lanes between which the obstacle sways
-# follow, at each sample of the line.
+# the half length). Then, at each sample of the line, the offsets from the line (m) of the two
+# lanes; the obstacle sways between them.
 PLACE, ALONG, TURN, HALF_LENGTH, HALF_WIDTH = range(5)
 LANES = 5
 

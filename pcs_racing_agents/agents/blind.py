@@ -5,7 +5,7 @@ Open-loop agents follow constant probabilities, a sequence of moves or a path to
 policy and the best lead plan on training races. The moves of a lead plan depend on the leading car,
 and on nothing else of the opponent: the gain of an agent over the lead plan comes from knowing the
 opponent. A policy with ``pace_behind`` reacts to the lead by itself, so a race with such policies
-is lead-conditioned, whatever the agent.
+is lead-conditioned for any agent.
 
 A fit is a choice made on training races, as a small file: a sequence of moves, or target policies.
 

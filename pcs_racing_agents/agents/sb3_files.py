@@ -2,7 +2,7 @@
 
 ``PPO.load`` unpickles parts of a file and so runs code from it. Here torch reads the weights with
 ``weights_only=True``; the classes, the activation function and the environment of the training come
-from readable texts that Stable-Baselines3 writes beside its pickles.
+from readable texts that Stable-Baselines3 writes next to its pickles.
 """
 
 import hashlib

@@ -156,7 +156,7 @@ def _prepare(files: Sequence[str]) -> None:
 
 def _run_files(files: Sequence[str]) -> None:
     for file in files:
-        # of a file that is gone or fails here, the task that needs it reports the error
+        # A file may be gone or fail here: the task that needs it reports the error.
         with suppress(InputError):
             own_file(file)
 

@@ -108,7 +108,7 @@ def _check_same(folder: Path, manifest: Mapping[str, Any]) -> None:
             for entry in (folder.iterdir() if folder.exists() else ())
             if not entry.name.startswith(".")
         )
-        # Chunks say for which task and settings they were made: a lost manifest loses no work.
+        # Chunks name their task and settings: a lost manifest loses no work.
         if others and not (folder / "chunks").is_dir():
             raise InputError(
                 f"{folder} holds {others[0]} but no job.yaml; choose a new or an empty folder"

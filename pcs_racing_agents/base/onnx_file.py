@@ -21,7 +21,7 @@ from pcs_racing.base.files import write_atomically
 METADATA = "pcs_racing"
 """Key of the description in the metadata of a file."""
 
-OPSET, IR_VERSION = 17, 8  # of ONNX 1.12, for runtimes since 2022
+OPSET, IR_VERSION = 17, 8  # versions of ONNX 1.12, for runtimes since 2022
 Constants = dict[str, NDArray[Any]]
 Step = tuple[Any, ...]
 """Operator with its attributes, and its inputs after the first: arrays of float32."""

@@ -2,7 +2,7 @@
 
     @command("wave", "pcs-racing wave Ada --times 3")
     def wave(
-        name: Annotated[str, Option("who is greeted")],
+        name: Annotated[str, Option("name to greet")],
         *,
         times: Annotated[int, Option("number of waves", "N")] = 1,
         workers: Workers,
@@ -50,7 +50,7 @@ class ConfigOptions:
         """Add an option for each field."""
         options = options_of(self.cls)
         for name in self.names:
-            several = get_origin(options[name].kind) is tuple  # of numbers or annotated names
+            several = get_origin(options[name].kind) is tuple  # numbers or annotated names
             kind = get_args(get_args(options[name].kind)[0])[0] if several else options[name].kind
             parser.add_argument(
                 f"--{name.replace('_', '-')}",

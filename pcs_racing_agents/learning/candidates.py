@@ -1,6 +1,6 @@
 """Policies of Stable-Baselines3 that score the candidates of the `Line` environments alike.
 
-The network is that of the planner ``line-ppo``: a correction of the lattice's costs. It begins as
+The planner ``line-ppo`` has this network: a correction of the lattice's costs. It begins as
 the lattice, because its last layers are 0, and its weights race as a planner does
 (:func:`pcs_racing.planners.line_ppo.network_policy`).
 """
@@ -99,7 +99,7 @@ class CandidateNetwork(nn.Module):
 
 
 class _Parts(nn.Module):
-    """Inputs of actor and critic: all numbers, and those of the situation."""
+    """Inputs of actor and critic: all numbers, and the numbers of the situation."""
 
     latent_dim_pi = len(LINE_ELEMENTS)
 

@@ -33,7 +33,7 @@ class Scaling(NamedTuple):
     size: np.float32  #: Unit of the targets.
     #: Mean square, in units of ``size``, of targets in rows without a positive target.
     hopeless: float
-    #: ``size`` in units of the spread of the rows' means, at most 1; None unless relative.
+    #: Ratio of ``size`` to the spread of the rows' means, at most 1; None unless relative.
     level: float | None
 
 

@@ -22,9 +22,9 @@ from pcs_racing.game.rules import RaceGame
 
 @dataclass(frozen=True, eq=False)
 class RegretNetwork:
-    """``R_approx(h, e_k)`` of Equation 8 of the paper: values of all moves from one observation.
+    """Regret network, ``R_approx(h, e_k)`` of the paper (Equation 8): values of all moves.
 
-    ``h`` is encoded in an observation of the game; its size does not depend on the length of the
+    An observation of the game encodes ``h``; its size does not depend on the length of the
     history. ReLUs separate the layers; a ReLU follows the last layer only if ``clipped``.
 
     Examples

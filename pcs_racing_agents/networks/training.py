@@ -301,7 +301,7 @@ def _layers_of(model: Any) -> DenseLayers:
 def _losses(model: Any, goals: Goals, by: Scaling) -> Any:
     """Return the loss of each row, a tensor of shape (R,)."""
     error = model(goals.inputs) - goals.values
-    # Where the goal is a regret clipped to 0, any value below 0 is as good as 0.
+    # For a regret clipped to 0, any value below 0 is as good as 0.
     error = error.where(~goals.one_sided, error.clamp(min=0.0))
     if by.level is None:
         return (goals.weights * error * error).sum(dim=1)

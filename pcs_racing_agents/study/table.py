@@ -50,8 +50,9 @@ PAPER_TABLE = {
 class TableLine(NamedTuple):
     """An agent on one track against one kind of opponent."""
 
-    #: ``"score"`` of the first agent (compared with itself), ``"difference"`` of another agent from
-    #: it, or ``"adaptivity gain"``: best agent minus the best baseline in training.
+    #: Name of the value: ``"score"`` of the first agent (compared with itself), ``"difference"`` of
+    #: another agent from it, or ``"adaptivity gain"``: best agent minus the best baseline in
+    #: training.
     kind: str
     track: str
     train: bool  #: True for a training track.

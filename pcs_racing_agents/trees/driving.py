@@ -4,8 +4,8 @@ A thread drives its races from beginning to end. Threads that waited for each ot
 of progress, every 0.1 s, would gain much less.
 
 The last step of games with the cars out of each other's sight is driven only once for each car
-(:func:`finish`). A planner with a limited ``sight`` (:class:`pcs_racing.Planner`) drives the same
-whatever happens beyond it. Once the cars are that far apart, ``n`` policies of one car and ``n``
+(:func:`finish`). A planner with a limited ``sight`` (:class:`pcs_racing.Planner`) drives the
+same for any event beyond it. Once the cars are that far apart, ``n`` policies of one car and ``n``
 policies of the other make ``n * n`` races, but only ``2 n`` different drives: ``n`` races show all
 drives. The other races are combined from these drives, if the cars would not have come near each
 other and neither crashed; otherwise they are driven, too. The result is the same to the last bit,

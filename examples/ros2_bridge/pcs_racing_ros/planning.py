@@ -227,7 +227,7 @@ class Planning:
         try:
             self.wanted, speed = self._decide(time)
             self.stopped = ""
-        except Exception as error:  # whatever it is, a car without a decision stops
+        except Exception as error:  # after any error: a car without a decision stops
             self.wanted, speed = STOP
             self.stopped = " ".join(str(error).split()) or type(error).__name__
         return self.wanted, self.speed_share * speed

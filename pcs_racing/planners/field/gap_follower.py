@@ -87,7 +87,7 @@ def free_distances(ranges, bubble, free):
         spread = arcsine(bubble / near) if near > bubble else 0.5 * np.pi
         reach = int(spread / STEP)
         for k in range(max(j - reach, 0), min(j + reach + 1, BEAMS)):
-            # Where a beam enters a circle around a point `near` away, some beams aside.
+            # Entry of a beam into a circle around a point `near` away, some beams aside.
             across = near * _APART_SIN[abs(k - j)]
             ahead = near * _APART_COS[abs(k - j)] - np.sqrt(
                 max(bubble * bubble - across * across, 0.0)

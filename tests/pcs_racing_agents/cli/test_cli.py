@@ -319,7 +319,7 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
 
     @command("wave", "pcs-racing wave Ada")
     def wave(
-        name: Annotated[str, Option("who is greeted")],
+        name: Annotated[str, Option("name to greet")],
         often: Annotated[int, Option("100 % of the waves")] = 1,
         *,
         loud: Annotated[float | None, Option("how")] = None,
