@@ -12,8 +12,8 @@ Both simulators drive the same cars, with the parameters of the F1TENTH car, alo
 race line, from the same poses, by the same pure pursuit in plain Python, each car 3 m ahead of the
 next. A first run compiles and records the actions; three more repeat them, and the fastest
 counts: processor time of the thread, nothing but steps. A step of the gym and of our drop-in for it
-(``pcs_racing:f1tenth-v0``) lasts 0.01 s, one of `Drive` 0.02 s, inside which we integrate at 0.01
-s, too: what counts is simulated seconds per second. Each step scans for every car. `Drive` and its
+(``pcs_racing:f1tenth-v0``) lasts 0.01 s, one of `Drive` 0.02 s, integrated at 0.01 s, too:
+simulated seconds per second count. Each step scans for every car. `Drive` and its
 batch race two cars.
 """
 

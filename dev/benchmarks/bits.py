@@ -2,12 +2,12 @@
 instructions.
 
     python dev/benchmarks/bits.py  # the digests of this machine, one a line
-    python dev/benchmarks/bits.py --compare                    # and a table of what changes them
+    python dev/benchmarks/bits.py --compare                    # and a table of their changes
     # with the circuits of another folder, too
     python dev/benchmarks/bits.py --compare --maps FOLDER
 
-Each comparison runs this script again in a process that is told to do without some instructions, or
-to use another kernel of the linear algebra library, and with caches of its own, so that everything
+Each comparison runs this script again in a process without some instructions of the processor,
+or with another kernel of the linear algebra library, and with caches of its own, so that everything
 is compiled and built again: a few minutes each. ``--parts tracks races`` leaves the others out.
 """
 

@@ -1,4 +1,4 @@
-"""How races begin and end on any circuit, loaded from its picture and yaml file alone.
+"""Count beginnings and ends of races on any circuit, loaded from its picture and yaml file alone.
 
 On every circuit and under both rules, lattice policies race each other whose paces are drawn
 evenly from 0 to 1. The races come in pairs: the same two policies on the same start line, with the

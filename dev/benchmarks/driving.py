@@ -1,4 +1,4 @@
-"""How well the strongest driver races under the rules `contest`, and how stable a pursuit steers.
+"""Race the strongest planner under the rules `contest`, and find the stability of a pursuit.
 
     python dev/benchmarks/driving.py --maps ../shared/maps
     python dev/benchmarks/driving.py --only equal --circuits Saltmere Vellindra
@@ -42,7 +42,7 @@ CIRCUITS = ("Saltmere", "Vellindra", "Austin", "Monza", "Sepang", "Zandvoort")
 TODAY = load_rules("contest", sight=FULL_SIGHT, front_pace=(1.0, 1.0), heats=1)
 EQUALS = ("line-ppo", "line-ppo:pace=1.0", "lattice")
 PAIRS = (("line-ppo:pace=1.4", "line-ppo:pace=0.9"), ("line-ppo", "lattice"))
-RACES, ARCHIVE_RACES = 200, 16  # of a pair on a circuit
+RACES, ARCHIVE_RACES = 200, 16  # races of a pair on a circuit
 SEED = 6500
 
 Row = dict[str, Any]

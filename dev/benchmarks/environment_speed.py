@@ -7,14 +7,14 @@ lidar, on one core.
     python dev/benchmarks/environment_speed.py --only defaults
     # steps of an agent with 1, 4 and 8 cars, and with 2
     python dev/benchmarks/environment_speed.py --only cars
-    # scalar environments beside those of another checkout
+    # scalar environments here and in another checkout
     python dev/benchmarks/environment_speed.py --against PATH
 
-Everything is measured in one run, the variants in turn for several rounds, and the best round of
+Everything is measured in one run, all variants in each of several rounds, and the best round of
 each counts. Times are the thread's own, so other work on the machine disturbs little. All on one
-thread. Control level ("drive", "two agents") steps last 0.02 s, the period at which planners steer;
-the cars roll straight on at 1 m/s, and begin anew when they crash. In "two agents" both cars are
-steered, and steps are counted for each car: what a learner gets. SuperSuit's path is measured where
+thread. Control level ("drive", "two agents") steps last 0.02 s, the period of planners' commands;
+the cars roll straight on at 1 m/s, and start again after a crash. In "two agents" both cars are
+steered, and steps are counted for each car. SuperSuit's path is measured where
 it is installed.
 """
 
@@ -32,7 +32,7 @@ from race_speed import side_by_side
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 
-# Steps of one scalar environment for each line that it reads, by what other checkouts have, too.
+# Steps of one scalar environment for each line that it reads, by names of other checkouts.
 SCALAR = """
 import sys, time
 import numpy as np

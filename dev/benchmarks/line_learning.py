@@ -1,4 +1,4 @@
-"""Measure what ten lines of Stable-Baselines3 learn in `Line`: PPO with `CandidatePolicy`.
+"""Measure the learning of ten lines of Stable-Baselines3 in `Line`: PPO with `CandidatePolicy`.
 
     python dev/benchmarks/line_learning.py --maps ../shared/maps --steps 15000000
 
@@ -33,7 +33,7 @@ OPPONENTS = [
 HELD_OUT = ("Saltmere", "Vellindra", "Austin", "Monza", "Sepang", "Zandvoort")
 STYLE = {"assertiveness": 0.4}
 WIDTHS = (2.2, 2.0, 3.0, 2.5)  # m, of the random circuits
-SEED = 20_261_129  # of the test races
+SEED = 20_261_129  # seed of the test races
 
 
 class Report(BaseCallback):

@@ -1,4 +1,4 @@
-"""How long a 40 s race between two lattice cars takes on one core.
+"""Time a 40 s race between two lattice cars on one core.
 
     python dev/benchmarks/race_speed.py                    # on a shipped circuit
     # ends with one JSON line holding ms_per_race_per_core

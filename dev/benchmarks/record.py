@@ -5,8 +5,8 @@ roughly.
     python dev/benchmarks/record.py --add      measure, and add a line to dev/benchmarks/history.csv
     python dev/benchmarks/record.py --check    measure, and compare with the history (exit code 1)
 
-Every time is divided by that of a fixed piece of compiled arithmetic (the reference), measured in
-turn with it: the processor's speed, and what else it does, cancel out to a good part. Times are the
+Every time is divided by the time of a fixed piece of compiled arithmetic (the reference), measured
+alternately: the processor's speed and its other work mostly cancel out. Times are the
 thread's own, the best of several. A ratio counts as slower when it is more than 30 % above the
 median of the last five lines of the same machine, or of all machines if this one has no line.
 """

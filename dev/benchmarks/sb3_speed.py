@@ -6,7 +6,7 @@ against large batches.
 ``Drive`` with 41 numbers against ``lattice``, two layers of 64 for actor and critic, torch and
 races with one thread. All settings run in turns, and the best round of each counts; the default
 settings train for an eighth of the steps. ``--learn`` trains with each of the settings for this
-processor time (s), and prints what the policy is worth then.
+processor time (s), and prints the strength of the policy.
 """
 
 import argparse

@@ -1,10 +1,9 @@
-"""How long one lidar scan, one minimum iTTC and one wall check take on one core, and how exact the
-scans are.
+"""Time one lidar scan, one minimum iTTC and one wall check on one core, and check the scans.
 
     python dev/benchmarks/scan_speed.py [--track NAME_OR_FOLDER] [--reference FOLDER]
 
 Scans are taken from poses all around a circuit, without an opponent and with one ahead, behind and
-beside. The median over the rounds is reported for each, in microseconds of the thread's own time.
+alongside. The median over the rounds is reported for each, in microseconds of the thread's time.
 With the folder of reference data, and ``--track`` the folder of the circuit Spielberg that they
 were made on, the errors against exact cell traversal follow.
 """
@@ -28,12 +27,12 @@ HALF_LENGTH, HALF_WIDTH = 0.29, 0.155
 POSES = 100
 ROUNDS = 51
 
-# Where the opponent is: metres ahead and to the left.
+# Places of the opponent: metres ahead and to the left.
 PLACES = {
     "alone": None,
     "opponent ahead": (1.5, 0.0),
     "opponent behind": (-1.0, 0.0),
-    "opponent beside": (0.0, 0.5),
+    "opponent alongside": (0.0, 0.5),
 }
 
 

@@ -1,13 +1,12 @@
-"""How fast the solvers of game trees are, against OpenSpiel's C++ on the same tree, and how close
-they come.
+"""Compare the solvers of game trees with OpenSpiel's C++ on one tree: speed and exploitability.
 
     python dev/benchmarks/solver_speed.py [--trees FOLDER] [--tree N] [--moves M] [--steps K]
 
-One tree of simultaneous moves (4 moves, 4 steps, payoffs from a seed; or one that ``pcs-racing
-tree`` played) goes as extensive form text to OpenSpiel, which must find the same exploitability
-after 9 and 13 iterations. Then both sides iterate by turns: a ratio is measured within each round,
-and the median over the rounds is reported. Times are CPU time of one thread. Without OpenSpiel only
-our side is measured.
+One tree of simultaneous moves (4 moves, 4 steps, payoffs from a seed; or a tree of ``pcs-racing
+tree``) goes as extensive form text to OpenSpiel, which must find the same exploitability
+after 9 and 13 iterations. Then both sides iterate alternately: a ratio is measured within each
+round, and the median over the rounds is reported. Times are CPU time of one thread. Without
+OpenSpiel only our side is measured.
 """
 
 import argparse

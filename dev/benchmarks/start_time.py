@@ -1,8 +1,8 @@
-"""How long a new user waits: processor time until the first step, nothing compiled before, and the
+"""Measure a new user's wait: processor time until the first step, nothing compiled before, and the
 number of compiled functions.
 
     python dev/benchmarks/start_time.py
-    python dev/benchmarks/start_time.py --against PATH     # beside the package in another checkout
+    python dev/benchmarks/start_time.py --against PATH     # and the package in another checkout
 
 Each program runs in a process with an empty folder for compiled code, after a first run that builds
 and keeps the circuit. With another checkout both are measured in turns; printed are the medians of

@@ -1,4 +1,4 @@
-"""How strong every agent of the zoo is, and what a decision costs.
+"""Measure the strength of every agent of the zoo, and the cost of a decision.
 
     python dev/benchmarks/zoo.py                     # measures and prints
     python dev/benchmarks/zoo.py --write             # and writes data/measured.csv

@@ -4,8 +4,8 @@ docs/images/gallery.
     python dev/tools/gallery.py
 
 For each circuit of `CIRCUITS`, the races 0, 1, 2, ... of one seed are simulated in this order. The
-first race that contains a scene of a kind gives the GIF of that kind; `SCENES` says what counts as
-one. The page is made of the table whenever the site is built (``docs/site_pages.py``).
+first race that contains a scene of a kind gives its GIF; `SCENES` defines the kinds. The
+page is made of the table whenever the site is built (``docs/site_pages.py``).
 """
 
 import csv
@@ -45,7 +45,7 @@ CLOSE, DEFENDED = 1.5, 4.0  # m behind, and for how many s
 
 
 def find_overtake(replay: Replay) -> float | None:
-    """Return the moment of the first overtake after which the new leader leads for at least AFTER,
+    """Return the moment of the first overtake with a new leader who leads for at least AFTER,
     or None.
     """
     lead = np.asarray(replay.lead)
@@ -90,7 +90,7 @@ def find_crash(replay: Replay) -> float | None:
 
 
 class Scene(NamedTuple):
-    """A kind of scene: its title, how it is told, and what finds its moment in a race."""
+    """A kind of scene: its title, its rule, and the function that finds its moment in a race."""
 
     title: str
     rule: str

@@ -1,9 +1,9 @@
-"""Makes every generated circuit of a folder again, each from the seed and settings in its
+"""Make every generated circuit of a folder again, each from the seed and settings in its
 ``NAME_track.yaml``.
 
     python dev/tools/make_circuits.py maps
 
-What these files hold besides (descriptions, calibrated speed ranges) is kept.
+Their other content (descriptions, calibrated speed ranges) stays.
 """
 
 import sys

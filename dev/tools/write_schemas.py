@@ -1,4 +1,4 @@
-"""Write the JSON schema of each kind of configuration, from which editors complete and check YAML
+"""Write the JSON schema of each kind of configuration, by which editors complete and check YAML
 files.
 
 python dev/tools/write_schemas.py
