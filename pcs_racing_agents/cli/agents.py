@@ -59,7 +59,7 @@ def run(
     if agent not in listed:
         known = [*listed, *planner_names()]
         raise UnknownNameError(f"agent {agent!r} is unknown; {choices(agent, known)}")
-    about = f"{_CONSTANT.capitalize()}.\n"
+    about = f"{_CONSTANT.capitalize()}."
     if agent in available:
         about = describe(agent, available[agent]).replace("`", "")
     print(
@@ -92,8 +92,11 @@ def _describe(planner: Planner) -> str:
     if planner.variants:
         lines.append(f"  variants: {', '.join(planner.variants)}")
     rows = [
-        (p.name, f"{p.default:g}", f"in [{p.low:g}, {p.high:g}]", p.meaning)
-        for p in planner.parameters
+        ("parameter", "default", "range", "meaning"),
+        *(
+            (p.name, f"{p.default:.4f}", f"[{p.low:g}, {p.high:g}]", p.meaning)
+            for p in planner.parameters
+        ),
     ]
     lines += [f"  {line}" for line in aligned(rows)]
     return "\n".join(lines)

@@ -89,7 +89,7 @@ class TableLine(NamedTuple):
         """Score of the first agent; difference of another one, with a star if significant."""
         if self.kind == "score":
             return f"{self.result.mean_a:.3f}"
-        return f"{self.result.difference:+.3f}{'*' if self.p_holm < 0.05 else ''}"
+        return f"{self.result.difference:+.3f}{'*' if self.p_holm < 0.05 else ' '}"
 
 
 def make_table(

@@ -222,4 +222,4 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
         ) from error
     except MapError as error:
         raise MapError(f"{files.yaml}: {error}") from error
-    return center, race, f"{note}; it was made from the picture" if note else ""
+    return center, race, f"{note}; a new one was made from the picture" if note else ""

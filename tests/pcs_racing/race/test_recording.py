@@ -372,18 +372,19 @@ def test_the_page_answers_to_its_viewer(tmp_path, browser):
     corners = np.arange(161)[:, None, None] * [0.05, -0.02] + [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
     moving = np.stack([corners, corners + 4.0], axis=1)
     replay = race_on_a_circle(
-        8.0, candidates=5, title=NASTY, car_names=(NASTY, "outer"), moving=moving
+        8.0, candidates=5, title=NASTY, car_names=(NASTY, "outer"), moving=moving, sight=4.7
     )
     replay.paths[0, 1, 9:] = np.nan
     path = save_replay(replay, tmp_path / "a race.html")
     path.write_text(path.read_text().replace("<head>", CLOCK).replace("</body>", VISIT))
-    browser.open(f"{path.as_uri()}#t=2.5&follow=0&candidates=1")
+    browser.open(f"{path.as_uri()}#t=2.5&follow=0&candidates=1&sight=1")
     seen = json.loads(browser.wait("document.body.dataset.seen || ''"))
     assert browser.complaints == []
     assert seen["title"] == NASTY
     assert seen["bold"] == 1  # the clock's
     assert seen["start"] == [2.5, "0", True]
-    assert seen["legend"] == "driven speed 4.06.0 m/sbestworst candidaterejected"
+    blind = "91\u00b0 behind a car: unseen"
+    assert seen["legend"] == f"driven speed 4.06.0 m/sbestworst candidaterejected{blind}"
     assert seen["rows"] == [12, 9]
     assert seen["lead"] == pytest.approx(replay.lead[-1], abs=0.002)
     assert seen["pose"] == pytest.approx(list(replay.cars[40, 1, :2]), abs=0.001)

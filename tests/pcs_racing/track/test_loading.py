@@ -172,7 +172,7 @@ def test_missing_lines_are_made_from_the_picture(folder, oval, caplog):
     made = load_track(folder)
     load_track(folder)
     warning = (
-        "track Big Oval: it has no race line and it has no centre line; it was made from the"
+        "track Big Oval: it has no race line and it has no centre line; a new one was made from the"
         " picture"
     )
     assert [record.getMessage() for record in caplog.records] == [warning]

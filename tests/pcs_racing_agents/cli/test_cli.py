@@ -140,16 +140,17 @@ def test_the_zoo_and_all_planners_are_listed_with_their_options_and_parameters(p
     lattice, switcher = (printed("agents", name) for name in ("lattice", "lane-switcher"))
     for one in registry.get_planner("lattice").parameters:
         assert re.search(
-            rf"\n  {one.name} +{one.default:g} +in \[{one.low:g}, {one.high:g}\]"
+            rf"\n  {one.name} +{one.default:.4f}  \[{one.low:g}, {one.high:g}\]"
             rf" +{re.escape(one.meaning)}\n",
             lattice,
         )
+    assert re.search(r"\n  parameter +default  range +meaning\n", lattice)
     assert (
         switcher.splitlines()[1]
         == f"  variants: {', '.join(registry.get_planner('lane-switcher').variants)}"
     )
     told = printed("agents", "always-restraint+")
-    assert told.startswith("always-restraint+\n\nMakes the same move at every step.\n")
+    assert told.startswith("always-restraint+\n\nMakes the same move at every step.\n\nWith ")
 
 
 def test_track_show_lists_the_circuits_or_draws_one(printed, tmp_path):

@@ -204,6 +204,16 @@ def test_a_phone_shows_the_list_and_then_the_race_or_how_to_watch_it(
 ):
     browser.open(page, width=390, height=844)
     assert browser.run("getComputedStyle(document.querySelector('.watch')).display") == "none"
+    # Columns up to the result are on the screen, the others right of it; no text is cut.
+    assert (
+        browser.run("""[...document.querySelector('#pane .line').children].map((cell) => {
+        const { left, right } = cell.getBoundingClientRect();
+        const edge = list.getBoundingClientRect().right;
+        const whole = cell.scrollWidth <= cell.clientWidth;
+        return right <= edge && whole ? 0 : left >= edge - 2 ? 1 : -1;
+    })""")
+        == [0] * 6 + [1] * 7
+    )
     browser.run("document.querySelector('#pane .line').click()")
     assert browser.run("getComputedStyle(document.querySelector('.races')).display") == "none"
     browser.open(page)
