@@ -177,7 +177,7 @@ def test_the_coordinates_come_from_races_of_their_own(made):
 
 
 def test_a_front_is_chosen_on_circuits_of_its_own_and_at_a_calibrated_pace(made):
-    """Nobody drives faster than the calibration of a circuit allows; opponents neither."""
+    """The pace of policies and opponents is at most the calibration of a circuit."""
     search, choice, final = stage_scenarios(TINY)
     assert search.tracks == final.tracks == ("Pipkin", "Tarnfjord", "generated-0")
     assert choice.tracks == ("Brackwater",)
