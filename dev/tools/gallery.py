@@ -41,7 +41,7 @@ BEHIND = Rules(
 )
 
 BEFORE, AFTER = 4.0, 2.0  # s of a clip before and after its moment
-CLOSE, DEFENDED = 1.5, 4.0  # m behind, and for how many s
+CLOSE, DEFENDED = 2.0, 4.0  # m behind, and for how many s
 
 
 def find_overtake(replay: Replay) -> float | None:
