@@ -26,6 +26,8 @@ demo: $(VENV)/base.stamp
 	mkdir -p out
 	$(VENV)/bin/pcs-racing race --replay out/race.html
 	$(VENV)/bin/pcs-racing study quick --out out/demo
+	$(VENV)/bin/pcs-racing view out/demo --replays 12 --no-open
+	@echo "Open in a browser: out/race.html (a race), out/demo/report.html (the study), out/demo/view.html (its races)"
 
 # Several threads of linear algebra in each process would fight for the cores.
 quick test docs: export OMP_NUM_THREADS = 1
