@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from repository import REPOSITORY
+from repository import REPOSITORY, read_page
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
 URLS = PROJECT["project"]["urls"]
@@ -187,6 +187,7 @@ def test_every_extra_folder_and_licence_that_is_named_exists():
         assert (REPOSITORY / name).exists(), name
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["version"] == PROJECT["project"]["version"]
+    assert f"version = {{{citation['version']}}}" in read_page("cite.md")
     assert citation["license"] == PROJECT["project"]["license"]
     assert {"title", "message", "authors", "cff-version", "preferred-citation"} <= set(citation)
 
