@@ -104,7 +104,9 @@ def require(*modules: str, extra: str = "mapping") -> None:
     for name in modules:
         if find_spec(name) is None:
             raise ModuleNotFoundError(
-                f'{name} is needed for this: pip install "pcs-racing[{extra}]"', name=name
+                f'{name} is needed for this: pip install "pcs-racing[{extra}]", in a clone'
+                f' ".[{extra}]"',
+                name=name,
             )
 
 

@@ -128,7 +128,7 @@ def _check_same(folder: Path, manifest: Mapping[str, Any]) -> None:
         if stored.get(where) != wanted.get(where):
             raise InputError(
                 f"{file} holds another run: its {where.removeprefix('settings.')} is"
-                f" {stored.get(where, 'missing')}, not {wanted.get(where, 'missing')}; choose"
+                f" {stored.get(where, 'missing')}, not {wanted.get(where, 'given here')}; choose"
                 " another folder, or those settings"
             )
 

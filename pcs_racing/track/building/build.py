@@ -161,7 +161,7 @@ def drivable_region(
             else f"{area / usual:.1f} times the area of the track"
         )
         raise MapError(
-            f"{label} reaches {extent}: {gap or 'the walls have a gap; close it in the picture'}"
+            f"{label} reaches {extent}: {gap or 'the walls have a gap, or the seed is outside'}"
         )
     return drivable, bottom, left
 

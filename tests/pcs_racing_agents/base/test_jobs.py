@@ -223,7 +223,7 @@ def test_an_interruption_drops_what_has_not_begun(tmp_path):
         ({"seed": 4}, "its seed is 3, not 4"),
         ({"seed": True}, "its seed is 3, not True"),
         ({"moves": 4}, "its moves is missing, not 4"),
-        ({"race": "fast"}, r"its race\.duration is 16\.0, not missing"),
+        ({"race": "fast"}, r"its race\.duration is 16\.0, not given here"),
         ({"race": {**RACE, "duration": 8.0}}, r"its race\.duration is 16\.0, not 8\.0"),
     ],
 )
