@@ -28,6 +28,7 @@ TEXTS = {
 # PPO of SB3 drives at least a rollout.
 SHORTER = {
     "learn(20_000, progress_bar=True)": "learn(1)",
+    "learn(10_000, progress_bar=True)": "learn(1)",
     "learn(4_096)": "learn(1)",
     "races_per_pair=100": "races_per_pair=2",
     "for k in range(2)]": "for k in range(1)]",
