@@ -210,8 +210,8 @@ class FrontConfig(ArchiveConfig):
     ] = 3
     choice_tracks: Annotated[
         Names,
-        "Circuits of the choice: who crashes too often on circuits that the search leaves out is no"
-        " member.",
+        "Circuits of the choice, without the tracks of the search if others remain: who crashes too"
+        " often there is no member.",
     ] = ("Pipkin", "Quillburg")
     min_coordinates: Annotated[
         tuple[float, ...] | None,
@@ -238,7 +238,8 @@ class FrontConfig(ArchiveConfig):
     def circuits(self, stage: int) -> tuple[str, ...]:
         """Return the circuits of a stage: names and folders."""
         if stage == 1:
-            return self.choice_tracks
+            left_out = tuple(track for track in self.choice_tracks if track not in self.tracks)
+            return left_out or self.choice_tracks
         return (*self.tracks, *(f"{GENERATED}{k}" for k in range(self.generated)))
 
     def met(self, stage: int) -> tuple[int, tuple[str, ...]]:

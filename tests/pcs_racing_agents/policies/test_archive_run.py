@@ -181,6 +181,9 @@ def test_a_front_is_chosen_on_circuits_of_its_own_and_at_a_calibrated_pace(made)
     search, choice, final = stage_scenarios(TINY)
     assert search.tracks == final.tracks == ("Pipkin", "Tarnfjord", "generated-0")
     assert choice.tracks == ("Brackwater",)
+    both = replace(TINY, choice_tracks=("Pipkin", "Brackwater"))
+    assert both.circuits(1) == ("Brackwater",)
+    assert replace(both, choice_tracks=TINY.tracks).circuits(1) == TINY.tracks
     pace = LATTICE.parameter_names.index("pace")
     assert LATTICE.bounds[pace, 1] > 1.0
     for theta in (made[0].explored_parameters, choice.opponents, final.opponents):
