@@ -233,7 +233,7 @@ def test_limits_leave_out_policies(tmp_path, made):
     """Rules under which many crash, and a least coordinate."""
     wild = tmp_path / "wild.yaml"
     wild.write_text("rules: contest\nname: wild\nspeed_range: [1.2, 1.7]\n")
-    config = replace(TINY, rules=str(wild), crash_limit=0.3, seed=12)
+    config = replace(TINY, rules=str(wild), crash_limit=0.3, generated=0, seed=12)
     archive = synthesize(config, tmp_path / "archive")
     assert (archive.rules, archive.characteristics) == ("wild", ("speed", "reaction"))
     assert (archive.own_crash <= 0.3).all()
