@@ -79,19 +79,6 @@ def batch(envs: Any, steps: int) -> Work:
     return work, steps * envs.num_envs
 
 
-def by_default(name: str, envs: int) -> Work:
-    """Steps of a batch with default arguments, and random actions."""
-    made = gym.make_vec(f"pcs_racing/{name}", num_envs=envs, threads=1)
-    made.action_space.seed(0)
-    made.reset(seed=0)
-
-    def work() -> None:
-        for _ in range(10):
-            made.step(made.action_space.sample())
-
-    return work, 10 * envs
-
-
 def scalar(env: Any, steps: int) -> Work:
     """Steps of one environment, with a reset at the end of an episode."""
     space, rng = env.action_space, np.random.default_rng(0)
@@ -152,8 +139,10 @@ def main() -> None:
     few, most = {"beams": 108}, {"beams": 1080}
     makers: dict[str, Callable[[], Work]] = {
         **{
-            f"{name}, defaults": lambda name=name: by_default(name, given.envs)
-            for name in ("Line-v0", "Drive-v1", "Duel-v1")
+            f"{name}, defaults": lambda name=name, steps=steps: batch(
+                gym.make_vec(f"pcs_racing/{name}", num_envs=given.envs, threads=1), steps
+            )
+            for name, steps in {"Line-v0": 20, "Drive-v1": 20, "Duel-v1": 2}.items()
         },
         "drive, batch, pure pursuit": lambda: batch(DriveVectorEnv(**many, **step, **pursuit), 100),
         "drive, batch, lattice": lambda: batch(

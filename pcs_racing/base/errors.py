@@ -20,6 +20,7 @@ A check returns its value. Ends of ranges belong to the ranges; in shapes, None 
 
 import math
 import os
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -213,9 +214,8 @@ def check_number(
         or (above is not None and not number > above)
     ):
         kind = "finite number" if minimum is maximum is above is None else "number"
-        hint = (
-            ", in YAML with a point, as 1.0e-2" if isinstance(value, str) and "e" in value else ""
-        )
+        exponent = isinstance(value, str) and re.fullmatch(r"[-+]?[\d.]+e[-+]?\d+", value)
+        hint = ", in YAML with a point, as 1.0e-2" if exponent else ""
         raise error(
             f"{name} is {value!r}; it must be a {kind}{within(minimum, maximum, above)}{hint}"
         )

@@ -7,7 +7,7 @@ draws happen once per run, so that policies differ by their driving and not by c
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache
 from typing import NamedTuple, TypeAlias, Unpack
 
 import numpy as np
@@ -74,7 +74,7 @@ def circuit(source: str, rules: Rules) -> Track:
     return _generated(int(number), replace(rules, duration=None))
 
 
-@lru_cache(maxsize=16)
+@cache
 def _generated(number: int, rules: Rules) -> Track:
     return find_speeds(random_circuit(RandomCircuits(), number), rules)
 

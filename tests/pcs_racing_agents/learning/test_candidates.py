@@ -57,7 +57,8 @@ def test_with_the_weights_of_line_ppo_it_drives_as_line_ppo():
     numbers, network = read_line_planner("line-ppo")[1][LATTICE_SIZE:], CandidateNetwork()
     network.load("line-ppo")
     np.testing.assert_array_equal(flat_weights(tensors_of(numbers)), numbers)
-    policy = network_policy(network.tensors(), style={"risk": 0.5})
+    learned = {key: torch.tensor(one).requires_grad_() for key, one in network.tensors().items()}
+    policy = network_policy(learned, style={"risk": 0.5})
     both = [policy, racer("line-ppo:risk=0.5")]
     result = run_races(load_track("Pipkin"), both, "lattice", "contest", seed=3)
     same = run_races(load_track("Pipkin"), both[::-1], "lattice", "contest", seed=3)
