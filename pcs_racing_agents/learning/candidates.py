@@ -139,6 +139,8 @@ class _ScoresCandidates:
                 f"{type(self).__name__} got observations of shape {found[0]} and {found[1]}"
                 f" choices; it learns in pcs_racing/Line-v0, where they are {seen} and {acts}"
             )
+        if "use_sde" in given and isinstance(self, MaskableActorCriticPolicy):
+            raise InputError(f"{type(self).__name__} is for MaskablePPO; PPO has CandidatePolicy")
         for name in ("net_arch", "activation_fn", "features_extractor_class"):
             if name in given:
                 raise InputError(

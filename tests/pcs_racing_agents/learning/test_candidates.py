@@ -98,6 +98,7 @@ def test_other_spaces_policies_and_files_are_refused_by_one_line(models, tmp_pat
     assert racer(moved).parameters[0] == 1.0
     own = SMALL | {"policy_kwargs": {"net_arch": [32]}}
     refused("net_arch is .* has its own", stable.PPO, CandidatePolicy, bold, **own)
+    refused("is for MaskablePPO; PPO has", stable.PPO, MaskableCandidatePolicy, bold, **SMALL)
     for tensors, style in ((None, None), ({}, 3), ({"score.bias": "x"}, None), ({3: 1}, None)):
         refused("line-network: ", network_policy, tensors, style=style)
 
