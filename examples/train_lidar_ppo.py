@@ -28,6 +28,7 @@ from pcs_racing.envs import (
     random_circuit,
 )
 from pcs_racing.planners import DenseLayers, arc_policy, save_lidar_planner
+from pcs_racing.planners.field.lidar_ppo import read_lidar_planner
 
 try:
     import torch
@@ -49,8 +50,8 @@ HELD_OUT = ("Larkmoor", "Saltmere", "Vellindra")
 """Circuits of the evaluations."""
 TESTS = ("pure-pursuit", "gap-follower", "lattice")
 RIVALS = {
-    "pure-pursuit": 2.0,
-    "pure-pursuit:pace=0": 2.0,
+    "pure-pursuit": 4.0,
+    "pure-pursuit:pace=0": 1.0,
     "pure-pursuit:pace=0.5": 2.0,
     "lattice:pace=0": 1.0,
     "lattice:early": 1.0,
@@ -72,17 +73,19 @@ TASK = {
     "win_reward": 1.0,
     "autoreset_mode": "SAME_STEP",
 }
-STEPS, MINIBATCH, EPOCHS, FREEZE = 32, 8192, 4, 40
-"""Actions of a car in an update, actions of a step, passes; updates between two frozen copies."""
+STEPS, MINIBATCH, EPOCHS, WARM, FREEZE = 32, 8192, 4, 10, 40
+"""Actions of a car in an update, actions of a step, passes; first updates from a planner, of the
+critic alone; updates between two frozen copies.
+"""
 GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.99, 0.95, 0.2, 0.002, 1e-3
-KL, MAX_KL, MAX_RATE, KEPT = 0.01, 0.04, 2e-3, 0.9
-"""Divergence that the learning rate aims at, divergence that ends an update, max learning rate;
-share of the averaged weights that an update keeps.
+KL, GENTLE, MAX_KL, MAX_RATE, KEPT = 0.01, 0.004, 0.04, 2e-3, 0.9
+"""Divergence that the learning rate aims at, from nothing and from a planner; divergence that ends
+an update, max learning rate; share of the averaged weights that an update keeps.
 """
 SIZES = (230, 128, 128, 2)
 """Sizes of the actor's layers, as in `lidar-ppo`."""
-SPREAD = (0.3, 0.6)
-"""First standard deviations of turn and push."""
+SPREAD, STARTED = (0.3, 0.6), (0.12, 0.25)
+"""First standard deviations of turn and push, from nothing and from a planner."""
 
 
 def layers(*sizes: int) -> nn.Sequential:
@@ -103,12 +106,18 @@ def dense(state: dict[str, Tensor]) -> DenseLayers:
 class Learner(nn.Module):
     """Actor and critic; a tanh follows the actor's layers."""
 
-    def __init__(self) -> None:
+    def __init__(self, start: str | None) -> None:
         super().__init__()
         self.actor, self.critic = layers(*SIZES), layers(SIZES[0], 256, 128, 1)
         self.averaged = layers(*SIZES).requires_grad_(False)
+        if start:
+            found = read_lidar_planner(start)[1]
+            numbers = chain.from_iterable(zip(found.weights, found.biases, strict=True))
+            tensors = [torch.tensor(one) for one in numbers]
+            self.actor.load_state_dict(dict(zip(self.actor.state_dict(), tensors, strict=True)))
         self.averaged.load_state_dict(self.actor.state_dict())
-        self.spread = nn.Parameter(torch.tensor(SPREAD).log())
+        self.spread = nn.Parameter(torch.tensor(STARTED if start else SPREAD).log())
+        self.kl = GENTLE if start else KL
 
     def logs(self, means: Tensor, actions: Tensor) -> Tensor:
         """Return the log probability densities of actions, shape (N,), up to a constant."""
@@ -166,7 +175,7 @@ def collect(learner: Learner, races: Races, seen: np.ndarray) -> tuple[dict[str,
 
 
 def update(
-    learner: Learner, optimizer: torch.optim.Adam, found: dict[str, Tensor]
+    learner: Learner, optimizer: torch.optim.Adam, found: dict[str, Tensor], warm: bool
 ) -> dict[str, float]:
     """Improve actor and critic by a rollout; return numbers of the last step."""
     gains = found["gains"]
@@ -181,7 +190,7 @@ def update(
         actor = -torch.min(ratio * gain, ratio.clamp(1 - CLIP, 1 + CLIP) * gain).mean()
         error = (learner.critic(some["seen"])[:, 0] - some["returns"]).square().mean()
         optimizer.zero_grad()
-        (actor - ENTROPY * learner.spread.sum() + 0.5 * error).backward()
+        (0.5 * error + (0.0 if warm else actor - ENTROPY * learner.spread.sum())).backward()
         for part in (learner.actor, learner.critic):
             nn.utils.clip_grad_norm_(part.parameters(), 1.0)
         optimizer.step()
@@ -189,7 +198,8 @@ def update(
         if kl > MAX_KL:
             break
     for group in optimizer.param_groups:
-        factor = 1.5 if kl < 0.5 * KL else 1.0 / 1.5 if kl > 2.0 * KL else 1.0
+        low, high = kl < 0.5 * learner.kl and not warm, kl > 2.0 * learner.kl
+        factor = 1.5 if low else 1.0 / 1.5 if high else 1.0
         group["lr"] = min(max(group["lr"] * factor, 1e-5), MAX_RATE)
     slow, fast = learner.averaged.parameters(), learner.actor.parameters()
     for averaged, trained in zip(slow, fast, strict=True):
@@ -228,7 +238,7 @@ class Run:
     def __init__(self, a: argparse.Namespace) -> None:
         self.a, self.file = a, a.out / "checkpoint.pt"
         a.out.mkdir(parents=True, exist_ok=True)
-        self.learner = Learner()
+        self.learner = Learner(a.start)
         self.optimizer = torch.optim.Adam(self.learner.parameters(), RATE, eps=1e-5)
         self.frozen = [
             {key: one.clone() for key, one in self.learner.averaged.state_dict().items()}
@@ -287,7 +297,8 @@ class Run:
                 self.report(writer)
             began = time.monotonic()
             found, seen = collect(self.learner, races, seen)
-            means = update(self.learner, self.optimizer, found)
+            warm = a.start is not None and counts["updates"] < WARM
+            means = update(self.learner, self.optimizer, found, warm)
             counts["updates"] += 1
             counts["actions"] += len(found["actions"])
             counts["seconds"] += time.monotonic() - began
@@ -316,6 +327,7 @@ def main() -> None:
     add("--random", type=int, default=40, help="random circuits in addition")
     add("--tests", nargs="+", default=HELD_OUT, help="circuits of the evaluations")
     add("--races", type=int, default=40, help="races of a test, for each circuit and planner")
+    add("--start", help="lidar planner to start from, such as lidar-ppo (default: nothing)")
     add("--seed", type=int, default=0, help="seed of all random numbers")
     a = parser.parse_args()
     for name, least in {"envs": 8, "threads": 1, "races": 1, "random": 0, "minutes": 0.0}.items():

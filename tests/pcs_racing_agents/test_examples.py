@@ -132,10 +132,9 @@ def test_a_planner_is_trained_and_a_stopped_training_goes_on(tmp_path, kind):
     for library in ("torch", "matplotlib", "tensorboard"):
         pytest.importorskip(library)
     size = ("--tracks", "Pipkin", "--tests", "Pipkin", "--random", 1, "--envs", 8, "--races", 2)
-    for minutes in (0.002, 0.004):
-        out = run_python(
-            EXAMPLES / f"train_{kind}_ppo.py", *size, "--minutes", minutes, folder=tmp_path
-        )
+    for minutes, start in ((0.002, ()), (0.004, ("--start", f"{kind}-ppo"))):
+        size = (*size, "--minutes", minutes, *start)
+        out = run_python(EXAMPLES / f"train_{kind}_ppo.py", *size, folder=tmp_path)
     assert "goes on after " in out
     folder = tmp_path / "out" / f"train_{kind}_ppo"
     curves = np.genfromtxt(folder / "curves.csv", delimiter=",", names=True)
