@@ -234,8 +234,11 @@ def model_policy(
     """
     name = str(name or own_name(model))
     given = dict(arguments) or dict(origin_of(model, name, like) or {})
-    if given.pop("environment", "drive") != "drive":
-        raise InputError(f"model {name!r} was trained in a game of moves: it is an agent")
+    if (environment := given.pop("environment", "drive")) != "drive":
+        raise InputError(
+            f"model {name!r} was trained in {environment!r}; commands come from 'drive' alone: a"
+            " model of 'duel' is an agent, and racer() races a CandidatePolicy of 'line'"
+        )
     number = check_whole("cars", given.pop("cars", 2) if cars is None else cars, 1, MAX_CARS)
     if "front_pace" in given:
         given["rules"] = load_rules("contest", front_pace=given.pop("front_pace"))
