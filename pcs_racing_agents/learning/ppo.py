@@ -26,7 +26,15 @@ from numpy.typing import NDArray
 from pcs_racing.base.dense import DenseLayers, layers_from_bytes, layers_to_bytes
 from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.seeds import signed_seed
-from pcs_racing.base.settings import DIFFERENT, Layers, Names, Settings, Text, plain_settings
+from pcs_racing.base.settings import (
+    DIFFERENT,
+    Layers,
+    Names,
+    OneOf,
+    Settings,
+    Text,
+    plain_settings,
+)
 from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.make import make_game
@@ -40,6 +48,7 @@ from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.executors import in_other_processes
 from pcs_racing_agents.base.jobs import Arrays, Progress, open_job
 from pcs_racing_agents.base.tables import Column, write_csv
+from pcs_racing_agents.learning.branches import PAYOFFS
 from pcs_racing_agents.networks import RegretNetwork, save_network
 from pcs_racing_agents.networks.training import torch_alone
 from pcs_racing_agents.tournament.pairings import draw_schedule, play_pairings, schedule_pairing
@@ -83,7 +92,11 @@ class PPOSettings(Settings):
         "Initial learning rate of Adam; it falls linearly to a tenth.",
     ] = 1e-3
     hidden: Annotated[Layers, "Units of each hidden layer of policy and value network."] = (64, 64)
-    reward_scale: Annotated[float, Interval(ge=1e-6, le=1e6), "Factor of the rewards."] = 0.1
+    worth: Annotated[
+        str,
+        OneOf(PAYOFFS),
+        "Reward of a game: a race won (1; a race lost -1), or a tenth of the game's utility.",
+    ] = "utility"
     evaluate_every: Annotated[int, Interval(ge=1, le=10**12), "Steps between two evaluations."] = (
         40_000
     )
@@ -126,7 +139,7 @@ COLUMNS = (
 class TrainedPPO(NamedTuple):
     """Result of a training."""
 
-    network: RegretNetwork  #: Policy with the max score over all evaluations and seeds.
+    network: RegretNetwork  #: Trained policy with the max score over all evaluations and seeds.
     curve: list[Evaluation]  #: All evaluations of all seeds.
     best: list[Evaluation]  #: Evaluation of the network; as a maximum it is biased upwards.
     seconds: float  #: Time of the training, without interruptions, s.
@@ -161,7 +174,8 @@ def train_ppo(
     """
     settings = load_ppo_settings(config, **changes)
     require("stable_baselines3", extra="learning")
-    archive, rules = load_archive(settings.archive), load_rules(settings.rules)
+    wins: Any = {"utility": "win", "fault_penalty": 0.0} if settings.worth == "win" else {}
+    archive, rules = load_archive(settings.archive), load_rules(settings.rules, **wins)
     games = [make_game(track, archive, rules) for track in settings.tracks]
     identity = {
         "settings": plain_settings(settings),
@@ -182,8 +196,8 @@ def train_ppo(
     with open_job(folder, "ppo", identity) as job:
         seeds = job.run("seed", train, settings.seeds, executor=elsewhere, progress=show_seeds)
         means = [_means(settings, one["scores"]) for one in seeds]
-        best = int(np.argmax([mean[:, 0].max() for mean in means]))
-        at = int(np.argmax(means[best][:, 0]))
+        best = int(np.argmax([mean[1:, 0].max() for mean in means]))
+        at = 1 + int(np.argmax(means[best][1:, 0]))
         curve = [
             line
             for seed, one in zip(settings.seeds, seeds, strict=True)
@@ -267,7 +281,8 @@ def _train_seed(
                 f"a weight is no longer a number after {model.num_timesteps} steps; take a"
                 f" learning_rate below {settings.learning_rate:g}"
             ) from None
-    best = policies[int(np.argmax([_means(settings, one)[0] for one in scores]))]
+    # The first policy has learned nothing.
+    best = policies[1 + int(np.argmax([_means(settings, one)[0] for one in scores[1:]]))]
     return {
         "steps": np.array(steps),
         "scores": np.array(scores),
@@ -299,7 +314,7 @@ def _make_envs(settings: PPOSettings, games: Sequence[RaceGame], seed: int) -> A
     return SB3VecEnv(
         batches,
         seeds=[signed_seed(root) for root in roots],
-        reward_scale=settings.reward_scale,
+        reward_scale=1.0 if settings.worth == "win" else 0.1,
         threads=default_threads(),
     )
 
