@@ -78,10 +78,12 @@ STEPS, MINIBATCH, EPOCHS, WARM, FREEZE = 32, 8192, 4, 10, 40
 critic alone; updates between two frozen copies.
 """
 GAMMA, LAMBDA, CLIP, ENTROPY, RATE = 0.99, 0.95, 0.2, 0.002, 1e-3
-KL, GENTLE, MAX_KL, MAX_RATE, KEPT = 0.01, 0.004, 0.04, 2e-3, 0.9
-"""Divergence that the learning rate aims at, from nothing and from a planner; divergence that ends
-an update, max learning rate; share of the averaged weights that an update keeps.
+KL, MAX_KL, MAX_RATE, KEPT = 0.01, 0.04, 2e-3, 0.9
+"""Divergence that the learning rate aims at, divergence that ends an update, max learning rate;
+share of the averaged weights that an update keeps.
 """
+GENTLE = 0.004, 2e-4, 0.0
+"""Divergence, first rate and entropy bonus of a training that starts from a planner."""
 SIZES = (230, 128, 128, 2)
 """Sizes of the actor's layers, as in `lidar-ppo`."""
 SPREAD, STARTED = (0.3, 0.6), (0.12, 0.25)
@@ -117,7 +119,7 @@ class Learner(nn.Module):
             self.actor.load_state_dict(dict(zip(self.actor.state_dict(), tensors, strict=True)))
         self.averaged.load_state_dict(self.actor.state_dict())
         self.spread = nn.Parameter(torch.tensor(STARTED if start else SPREAD).log())
-        self.kl = GENTLE if start else KL
+        self.kl, self.rate, self.entropy = GENTLE if start else (KL, RATE, ENTROPY)
 
     def logs(self, means: Tensor, actions: Tensor) -> Tensor:
         """Return the log probability densities of actions, shape (N,), up to a constant."""
@@ -190,7 +192,7 @@ def update(
         actor = -torch.min(ratio * gain, ratio.clamp(1 - CLIP, 1 + CLIP) * gain).mean()
         error = (learner.critic(some["seen"])[:, 0] - some["returns"]).square().mean()
         optimizer.zero_grad()
-        (0.5 * error + (0.0 if warm else actor - ENTROPY * learner.spread.sum())).backward()
+        (0.5 * error + (0.0 if warm else actor - learner.entropy * learner.spread.sum())).backward()
         for part in (learner.actor, learner.critic):
             nn.utils.clip_grad_norm_(part.parameters(), 1.0)
         optimizer.step()
@@ -239,7 +241,7 @@ class Run:
         self.a, self.file = a, a.out / "checkpoint.pt"
         a.out.mkdir(parents=True, exist_ok=True)
         self.learner = Learner(a.start)
-        self.optimizer = torch.optim.Adam(self.learner.parameters(), RATE, eps=1e-5)
+        self.optimizer = torch.optim.Adam(self.learner.parameters(), self.learner.rate, eps=1e-5)
         self.frozen = [
             {key: one.clone() for key, one in self.learner.averaged.state_dict().items()}
         ] * COPIES
