@@ -213,8 +213,12 @@ def train_ppo(
         )
         place = save_network(network, job.folder / "agent")
         write_csv([Evaluation._fields, *curve], place / "curve.csv")
-    seconds = sum(float(one["seconds"]) for one in seeds)
-    return TrainedPPO(network, curve, [line for line in curve if line[:2] == kept], seconds)
+    return TrainedPPO(
+        network,
+        curve,
+        [line for line in curve if line[:2] == kept],
+        sum(float(one["seconds"]) for one in seeds),
+    )
 
 
 def _train_seed(
