@@ -239,8 +239,8 @@ class Run:
 
     def __init__(self, a: argparse.Namespace) -> None:
         self.a, self.file = a, a.out / "checkpoint.pt"
-        a.out.mkdir(parents=True, exist_ok=True)
         self.learner = Learner(a.start)
+        a.out.mkdir(parents=True, exist_ok=True)
         self.optimizer = torch.optim.Adam(self.learner.parameters(), self.learner.rate, eps=1e-5)
         self.frozen = [
             {key: one.clone() for key, one in self.learner.averaged.state_dict().items()}

@@ -220,11 +220,11 @@ class Run:
 
     def __init__(self, a: argparse.Namespace) -> None:
         self.a, self.file = a, a.out / "checkpoint.pt"
-        a.out.mkdir(parents=True, exist_ok=True)
         self.learner = Learner()
         if a.start:
             self.learner.actor.load(a.start)
             self.learner.averaged.load(a.start)
+        a.out.mkdir(parents=True, exist_ok=True)
         own = [*self.learner.actor.parameters(), *self.learner.critic.parameters()]
         self.optimizer = torch.optim.Adam(own, RATE, eps=1e-5)
         self.frozen = [self.learner.averaged.tensors()] * COPIES
