@@ -27,8 +27,12 @@ from pcs_racing.envs import (
     find_speeds,
     random_circuit,
 )
-from pcs_racing.planners import DenseLayers, arc_policy, save_lidar_planner
-from pcs_racing.planners.field.lidar_ppo import read_lidar_planner
+from pcs_racing.planners import (
+    DenseLayers,
+    arc_policy,
+    read_lidar_planner,
+    save_lidar_planner,
+)
 
 try:
     import torch

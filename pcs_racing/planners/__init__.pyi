@@ -2,6 +2,7 @@ from . import view as view
 from .field.lidar_ppo import (
     DenseLayers as DenseLayers,
     arc_policy as arc_policy,
+    read_lidar_planner as read_lidar_planner,
     save_lidar_planner as save_lidar_planner,
 )
 from .imported import drivers_from as drivers_from
@@ -70,6 +71,7 @@ __all__ = [
     "parse_policy",
     "planner_names",
     "racer",
+    "read_lidar_planner",
     "register_planner",
     "save_lidar_planner",
     "save_line_planner",
