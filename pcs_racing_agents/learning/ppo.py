@@ -195,21 +195,20 @@ def train_ppo(
     train = partial(_train_seed, settings, games, show if elsewhere is None else None)
     with open_job(folder, "ppo", identity) as job:
         seeds = job.run("seed", train, settings.seeds, executor=elsewhere, progress=show_seeds)
-        means = [_means(settings, one["scores"]) for one in seeds]
-        best = int(np.argmax([mean[1:, 0].max() for mean in means]))
-        at = 1 + int(np.argmax(means[best][1:, 0]))
+        means = [_means(settings, one["scores"][one["at"]]) for one in seeds]
+        best = int(np.argmax([score for score, *_ in means]))
         curve = [
             line
             for seed, one in zip(settings.seeds, seeds, strict=True)
             for line in _lines(settings, seed, one)
         ]
-        kept = settings.seeds[best], int(seeds[best]["steps"][at])
+        kept = settings.seeds[best], int(seeds[best]["steps"][seeds[best]["at"]])
         weights = seeds[best]["best"].tobytes()
         network = _network(
             games[0],
             layers_from_bytes(job.folder, weights, list(settings.hidden))[0],
             name or f"{archive.name}-{rules.name}-ppo",
-            _facts(settings, *kept, means[best][at]),
+            _facts(settings, *kept, means[best]),
         )
         place = save_network(network, job.folder / "agent")
         write_csv([Evaluation._fields, *curve], place / "curve.csv")
@@ -227,7 +226,7 @@ def _train_seed(
     show: Callable[[int, str], None] | None,
     seed: int,
 ) -> Arrays:
-    """Train with a seed; return steps and scores of all evaluations, and the best weights."""
+    """Train with a seed; return steps and scores of all evaluations, and the best one's weights."""
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -286,11 +285,12 @@ def _train_seed(
                 f" learning_rate below {settings.learning_rate:g}"
             ) from None
     # The first policy has learned nothing.
-    best = policies[1 + int(np.argmax([_means(settings, one)[0] for one in scores[1:]]))]
+    at = 1 + int(np.argmax([_means(settings, one)[0] for one in scores[1:]]))
     return {
         "steps": np.array(steps),
         "scores": np.array(scores),
-        "best": np.frombuffer(layers_to_bytes(best), np.uint8),
+        "at": np.array(at),
+        "best": np.frombuffer(layers_to_bytes(policies[at]), np.uint8),
         "seconds": np.array(time.monotonic() - begun),
     }
 
