@@ -14,11 +14,15 @@ from studies.circuits import real_circuits
 
 GAME, STUDIES = ("-m", "pcs_racing_agents"), ("-m", "studies")
 """Command lines of the package and of the studies, as arguments of Python."""
-FIVE = Path(__file__).parent / "five_archives"
-REACTING = 1, 3
-"""Seeds of the archives whose policies may react to the lead by themselves."""
+SMALL = Path(__file__).parent / "small"
+"""Folder of the configurations of the small run."""
+ARCHIVES = {"paper": "default", "contest": "contest"}
+"""Name of the archive of each set of rules."""
 REAL = "Austin", "Monza"
 """Real circuits added to the tests of the contest."""
+TRAINING = "Brackwater", "Pipkin"
+OPPONENTS = "never-switch", "random-moves", "lattice", "iterated-best-response", "gap-follower"
+"""Circuits and opponents of the training of ``psro``, as in the study ``contest``."""
 
 ENTRANTS = (
     *("never-switch", "random-moves", "best-fixed", "best-schedule", "best-lead-plan"),
@@ -40,49 +44,45 @@ class Step(NamedTuple):
 
 def steps(maps: Path, out: Path, small: bool) -> list[Step]:
     """Return all steps in their order; a step needs the results of earlier ones only."""
-    seeds = range(2 if small else 5)
-    paper = Step("paper", GAME, ("study", "quick" if small else "paper"), "report.html")
+    found = {rules: ("--archive", str(out / f"archive-{rules}")) for rules in ARCHIVES}
+    real = ("--test-track", *(str(maps / name) for name in REAL))
+    where = ("--maps", str(maps), *(["--small"] if small else []))
+    # A study of `quick` wants more policies than a small archive has.
+    paper = ("quick",) if small else ("paper", *found["paper"])
+    contest = str(SMALL / "study.yaml") if small else "contest"
     return [
-        *(archive_step(seed, small) for seed in seeds),
-        paper,
-        *(contest_step(seed, maps, out, small) for seed in seeds),
-        *table_steps(seeds, maps, out, small),
+        *(archive_step(rules, small) for rules in ARCHIVES),
+        Step("paper", GAME, ("study", *paper), "report.html"),
+        Step("contest", GAME, ("study", contest, *found["contest"], *real), "report.html"),
+        *(ppo_step(rules, found[rules], small) for rules in ARCHIVES),
+        psro_step(found["contest"], small),
+        Step("rows", STUDIES, ("rows", str(out / "paper")), "rows.csv", parallel=False),
+        Step("family", STUDIES, ("family", *found["contest"], *where), "family.csv", False),
+        Step("field", STUDIES, ("field", *where), "scores.csv"),
+        Step("ppo-against-cfr", STUDIES, ("ppo-against-cfr", *where), "scores.csv"),
         protocol_step(small),
     ]
 
 
-def archive_step(seed: int, small: bool) -> Step:
-    """Return the search for an archive; the archive of seed 0 has the name of the shipped one."""
-    config = str(FIVE / "reacts.yaml") if seed in REACTING else "contest"
-    config = str(FIVE / "small_archive.yaml") if small else config
-    name = f"contest-{seed}" if seed else "contest"
-    given = ("--config", config, "--seed", str(seed), "--name", name)
-    return Step(f"archive-{seed}", GAME, ("synthesize", *given), "manifest.yaml")
+def archive_step(rules: str, small: bool) -> Step:
+    """Return the search for the archive of some rules."""
+    config = str(SMALL / f"archive_{rules}.yaml") if small else ARCHIVES[rules]
+    given = ("synthesize", "--config", config, "--name", ARCHIVES[rules])
+    return Step(f"archive-{rules}", GAME, given, "manifest.yaml")
 
 
-def contest_step(seed: int, maps: Path, out: Path, small: bool) -> Step:
-    """Return the study of the contest with an archive."""
-    own = "small_study.yaml" if small else "table.yaml"
-    study = str(FIVE / own) if seed or small else "contest"
-    real = [str(maps / name) for name in REAL]
-    archive = ("--archive", str(out / f"archive-{seed}"), "--seed", str(seed))
-    return Step(
-        f"contest-{seed}", GAME, ("study", study, *archive, "--test-track", *real), "report.html"
-    )
+def ppo_step(rules: str, archive: tuple[str, ...], small: bool) -> Step:
+    """Return the training of ``ppo`` for some rules."""
+    given = ("train", "ppo", "--config", f"study-{rules}", *archive)
+    few = ("--steps", "4096") if small else ()
+    return Step(f"ppo-{rules}", GAME, (*given, *few), "agent/manifest.yaml")
 
 
-def table_steps(seeds: Sequence[int], maps: Path, out: Path, small: bool) -> list[Step]:
-    """Return the tables of the studies, and further races on the same circuits."""
-    tables = tuple(str(out / f"contest-{seed}") for seed in seeds)
-    where = ("--maps", str(maps), *(["--small"] if small else []))
-    family = ("--archive", str(out / f"archive-{seeds[0]}"), *where)
-    return [
-        Step("rows", STUDIES, ("rows", str(out / "paper")), "rows.csv", parallel=False),
-        Step("pool", STUDIES, ("pool", *tables), "gains.csv", parallel=False),
-        Step("family", STUDIES, ("family", *family), "family.csv", parallel=False),
-        Step("field", STUDIES, ("field", *where), "scores.csv"),
-        Step("ppo-against-cfr", STUDIES, ("ppo-against-cfr", *where), "scores.csv"),
-    ]
+def psro_step(archive: tuple[str, ...], small: bool) -> Step:
+    """Return the training of ``psro`` in the contest."""
+    config = str(SMALL / "psro.yaml") if small else "default"
+    game = ("--rules", "contest", "--track", *TRAINING, "--pool", *OPPONENTS, *archive)
+    return Step("psro", GAME, ("train", "psro", "--config", config, *game), "agent/set.yaml")
 
 
 def protocol_step(small: bool) -> Step:
@@ -118,7 +118,7 @@ def run(
     maps: Annotated[Path, Option("folder of the real circuits", "DIR")],
     out: Annotated[Path, Option("folder with a folder for each step; resumes there", "DIR")],
     step: Annotated[Sequence[str], Option("steps to run (default: all)", "NAME")] = (),
-    small: Annotated[bool, Option("two archives and few races, to see that all steps run")] = False,
+    small: Annotated[bool, Option("few races, to see that all steps run")] = False,
     workers: Annotated[int | None, Option("number of workers (default: number of cores)")] = None,
     scheduler: Annotated[str | None, Option("address of a dask scheduler", "ADDRESS")] = None,
 ) -> None:

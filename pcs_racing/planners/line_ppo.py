@@ -78,14 +78,14 @@ PARAMETERS = (
         "assertiveness",
         0.0,
         1.0,
-        0.9,
+        0.45,
         "clearance to the opponent, from 0.4 m (0) to 0.1 m (1), and price of a lead",
     ),
     Parameter(
         "pace",
         0.0,
         2.0,
-        1.4,
+        1.45,
         "speed scale between the slowest (0) and fastest (1) of the race's speed range",
     ),
     Parameter(

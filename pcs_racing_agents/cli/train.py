@@ -169,7 +169,7 @@ def _about(manifests: Sequence[Mapping[str, Any]]) -> dict[str, str | int | floa
 def run_ppo(
     *,
     config: Annotated[str, _config("ppo")],
-    changes: Annotated[dict[str, Any], ConfigOptions(PPOSettings, "steps", "seeds")],
+    changes: Annotated[dict[str, Any], ConfigOptions(PPOSettings, "archive", "steps", "seeds")],
     name: Annotated[
         str | None,
         Option("name of the network (default: name of the shipped network of the agent 'ppo')"),

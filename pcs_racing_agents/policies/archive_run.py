@@ -403,7 +403,7 @@ class SpreadRun(ArchiveRun):
             start=config.start,
             fixed=config.fixed,
             generations=config.champion_generations,
-            crash_limit=min(config.crash_limit, TuningConfig.crash_limit),
+            crash_limit=config.crash_limit,
             seed=_number(_roots(config)[5].spawn(1)[0]),
         )
 

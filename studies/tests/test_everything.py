@@ -3,6 +3,7 @@
 import pytest
 from refusal import refused
 
+from pcs_racing_agents.learning.responses import load_psro_settings
 from pcs_racing_agents.policies.config import load_archive_config
 from pcs_racing_agents.study.config import load_study_config
 from studies import __main__, everything
@@ -29,22 +30,22 @@ def step(name, *arguments, **options):
 
 
 def test_a_finished_step_is_not_run_again(stub, capfd):
-    chosen = [step("archive", "--seed", "1"), step("pool", parallel=False)]
+    chosen = [step("archive", "--seed", "1"), step("rows", parallel=False)]
     run_steps(chosen, stub, ["--workers=2"])
     run_steps(chosen, stub, ["--workers=2"])
     out = stub / "archive"
     assert (out / "result.txt").read_text() == f"--seed 1 --out {out} --workers=2\n"
-    assert (stub / "pool" / "result.txt").read_text() == f"--out {stub / 'pool'}\n"
+    assert (stub / "rows" / "result.txt").read_text() == f"--out {stub / 'rows'}\n"
     assert "archive: finished" in capfd.readouterr().out
 
 
 def test_the_first_failure_ends_the_run_and_the_next_run_begins_there(stub):
-    run = [step("archive"), step("paper", "--fail"), step("pool")]
+    run = [step("archive"), step("paper", "--fail"), step("rows")]
     refused("step 'paper' ended with status 2; run the same", run_steps, run, stub, [])
-    assert not (stub / "pool").exists()
+    assert not (stub / "rows").exists()
     run_steps([run[0], step("paper"), run[2]], stub, [])
     assert len((stub / "archive" / "result.txt").read_text().splitlines()) == 1
-    assert (stub / "pool" / "result.txt").is_file()
+    assert (stub / "rows" / "result.txt").is_file()
 
 
 @pytest.mark.parametrize("small", [False, True])
@@ -63,28 +64,28 @@ def test_every_step_is_a_command_and_has_a_folder_of_its_own(small, tmp_path, mo
     assert {GAME, STUDIES} <= {one.program for one in found}
 
 
-def test_half_of_the_archives_may_react_to_the_lead(tmp_path):
+def test_a_study_and_trainings_use_the_archive_of_their_rules(tmp_path):
     found = {one.name: one.arguments for one in steps(tmp_path, tmp_path, small=False)}
-    reacting = [
-        name for name, words in found.items() if str(everything.FIVE / "reacts.yaml") in words
-    ]
-    assert reacting == ["archive-1", "archive-3"]
+    for rules, users in (("paper", ["paper", "ppo-paper"]), ("contest", ["contest", "psro"])):
+        for name in users:
+            at = found[name].index("--archive")
+            assert found[name][at + 1] == str(tmp_path / f"archive-{rules}")
 
 
 def test_unknown_steps_and_folders_without_maps_are_refused(tmp_path, capsys):
     for name in everything.REAL:
         (tmp_path / name).mkdir()
     given = ["all", "--maps", str(tmp_path), "--out", str(tmp_path / "out")]
-    assert __main__.main([*given, "--step", "pol"]) == 2
-    assert "did you mean 'pool'?" in capsys.readouterr().err
+    assert __main__.main([*given, "--step", "row"]) == 2
+    assert "did you mean 'rows'?" in capsys.readouterr().err
     given[2] = str(tmp_path / "nowhere")
     assert __main__.main(given) == 2
     assert "lacks the circuits Austin, Monza" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_the_configurations_of_the_studies_load():
-    for name in ("small_study", "table"):
-        assert load_study_config(everything.FIVE / f"{name}.yaml").learning.responses
-    for name in ("small_archive", "reacts"):
-        assert load_archive_config(everything.FIVE / f"{name}.yaml").planner == "line-ppo"
+def test_the_configurations_of_the_small_run_load():
+    assert load_study_config(everything.SMALL / "study.yaml").learning.responses
+    assert load_psro_settings(everything.SMALL / "psro.yaml").rounds == 2
+    for rules, planner in (("paper", "lattice"), ("contest", "line-ppo")):
+        assert load_archive_config(everything.SMALL / f"archive_{rules}.yaml").planner == planner
