@@ -31,7 +31,7 @@ OPPONENTS = [
     "disparity-extender:top_speed=4",
 ]
 HELD_OUT = ("Saltmere", "Vellindra", "Austin", "Monza", "Sepang", "Zandvoort")
-STYLE = {"assertiveness": 0.4}
+STYLE = {"assertiveness": 0.4, "pace": 1.4}
 WIDTHS = (2.2, 2.0, 3.0, 2.5)  # m, of the random circuits
 SEED = 20_261_129  # seed of the test races
 
