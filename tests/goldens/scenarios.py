@@ -224,16 +224,20 @@ def drive_head_to_head(name: str) -> Values:
     return out
 
 
+STYLE = {"assertiveness": 0.9, "pace": 1.4}
+"""Style of the cars of `line`; ``line-ppo`` had other defaults when the results were made."""
+
+
 def line(name: str) -> Values:
     """A second of three races, with some rejected choices."""
     choices = ((7 * step + np.arange(3)) % 64 for step in range(10))
-    return vector_episode(name, 5, choices, style={"risk": (0.0, 1.0)})[0]
+    return vector_episode(name, 5, choices, style={**STYLE, "risk": (0.0, 1.0)})[0]
 
 
 def line_head_to_head(name: str) -> Values:
     """A second of a race of two agents."""
     choices = ((7 * step + np.arange(2)) % 64 for step in range(10))
-    return pair_episode(name, 5, choices, line_head_to_head_env)[0]
+    return pair_episode(name, 5, choices, line_head_to_head_env, style=STYLE)[0]
 
 
 _BY_NAME: dict[str, Callable[[str], Values]] = {

@@ -352,12 +352,12 @@ def test_the_policies_of_the_contest_crash_seldom_and_react_to_the_lead_by_moves
     assert (archive.parameters[:, archive.parameter_names.index("pace_behind")] == 0.0).all()
     assert archive.own_crash.max() <= config.crash_limit
     assert no_op_share(archive) <= 0.15
-    # The axes nearly lie on one line: the strong policies of the planner differ in pace alone.
-    assert np.corrcoef(archive.normalised.T)[0, 1] < -0.9
+    # The axes nearly lie on one line: the strong policies of the planner differ in pace above all.
+    assert np.corrcoef(archive.normalised.T)[0, 1] < -0.85
 
 
 def test_the_contest_is_measured_again_with_crashes_as_rare_as_they_should_be():
-    """Two of its policies drive other races than those of its (provisional) measurement."""
+    """Two of its policies drive other races than those of its measurement."""
     archive = load_archive("contest")
     champion = archive.settings["champion_1"]
     _, _, final = stage_scenarios(load_archive_config("contest", final_starts=4), champion)
