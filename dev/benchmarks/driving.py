@@ -40,7 +40,7 @@ from pcs_racing_agents.tournament.ratings import rate
 
 CIRCUITS = ("Saltmere", "Vellindra", "Austin", "Monza", "Sepang", "Zandvoort")
 TODAY = load_rules("contest", sight=FULL_SIGHT, front_pace=(1.0, 1.0), heats=1)
-EQUALS = ("line-ppo", "line-ppo:pace=1.0", "lattice")
+EQUALS = ("line-ppo", "line-ppo:assertiveness=0.9,pace=1.4", "lattice")
 PAIRS = (("line-ppo:pace=1.4", "line-ppo:pace=0.9"), ("line-ppo", "lattice"))
 RACES, ARCHIVE_RACES = 200, 16  # races of a pair on a circuit
 SEED = 6500
