@@ -18,8 +18,8 @@ SMALL = Path(__file__).parent / "small"
 """Folder of the configurations of the small run."""
 ARCHIVES = {"paper": "default", "contest": "contest"}
 """Name of the archive of each set of rules."""
-REAL = "Austin", "Monza"
-"""Real circuits added to the tests of the contest."""
+REAL = {"paper": ("Austin", "Monza", "Sepang", "Zandvoort"), "contest": ("Austin", "Monza")}
+"""Real circuits added to the tests of the studies."""
 TRAINING = "Brackwater", "Pipkin"
 OPPONENTS = "never-switch", "random-moves", "lattice", "iterated-best-response", "gap-follower"
 """Circuits and opponents of the training of ``psro``, as in the study ``contest``."""
@@ -45,15 +45,20 @@ class Step(NamedTuple):
 def steps(maps: Path, out: Path, small: bool) -> list[Step]:
     """Return all steps in their order; a step needs the results of earlier ones only."""
     found = {rules: ("--archive", str(out / f"archive-{rules}")) for rules in ARCHIVES}
-    real = ("--test-track", *(str(maps / name) for name in REAL))
+    real = {
+        rules: ("--test-track", *(str(maps / name) for name in names))
+        for rules, names in REAL.items()
+    }
     where = ("--maps", str(maps), *(["--small"] if small else []))
     # A study of `quick` wants more policies than a small archive has.
-    paper = ("quick",) if small else ("paper", *found["paper"])
+    paper = ("quick",) if small else ("paper", *found["paper"], *real["paper"])
     contest = str(SMALL / "study.yaml") if small else "contest"
     return [
         *(archive_step(rules, small) for rules in ARCHIVES),
         Step("paper", GAME, ("study", *paper), "report.html"),
-        Step("contest", GAME, ("study", contest, *found["contest"], *real), "report.html"),
+        Step(
+            "contest", GAME, ("study", contest, *found["contest"], *real["contest"]), "report.html"
+        ),
         *(ppo_step(rules, found[rules], small) for rules in ARCHIVES),
         psro_step(found["contest"], small),
         Step("rows", STUDIES, ("rows", str(out / "paper")), "rows.csv", parallel=False),
@@ -123,7 +128,7 @@ def run(
     scheduler: Annotated[str | None, Option("address of a dask scheduler", "ADDRESS")] = None,
 ) -> None:
     """Make all archives, studies and tables; finished steps are kept."""
-    real_circuits(REAL, maps)  # a wrong folder is refused before the first step
+    real_circuits(REAL["paper"], maps)  # a wrong folder is refused before the first step
     known = {one.name: one for one in steps(maps, out, small)}
     for name in step:
         if name not in known:

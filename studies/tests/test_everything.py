@@ -73,14 +73,14 @@ def test_a_study_and_trainings_use_the_archive_of_their_rules(tmp_path):
 
 
 def test_unknown_steps_and_folders_without_maps_are_refused(tmp_path, capsys):
-    for name in everything.REAL:
+    for name in everything.REAL["paper"]:
         (tmp_path / name).mkdir()
     given = ["all", "--maps", str(tmp_path), "--out", str(tmp_path / "out")]
     assert __main__.main([*given, "--step", "row"]) == 2
     assert "did you mean 'rows'?" in capsys.readouterr().err
     given[2] = str(tmp_path / "nowhere")
     assert __main__.main(given) == 2
-    assert "lacks the circuits Austin, Monza" in capsys.readouterr().err
+    assert "lacks the circuits Austin, Monza, Sepang, Zandvoort" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
