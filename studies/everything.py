@@ -10,19 +10,15 @@ from pcs_racing.base.errors import InputError, choices
 from pcs_racing_agents.base.folders import claim_folder
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import output_folder
+from pcs_racing_agents.study.config import load_study_config
 from studies.circuits import real_circuits
 
 GAME, STUDIES = ("-m", "pcs_racing_agents"), ("-m", "studies")
 """Command lines of the package and of the studies, as arguments of Python."""
 SMALL = Path(__file__).parent / "small"
 """Folder of the configurations of the small run."""
-ARCHIVES = {"paper": "default", "contest": "contest"}
-"""Name of the archive of each set of rules."""
 REAL = {"paper": ("Austin", "Monza", "Sepang", "Zandvoort"), "contest": ("Austin", "Monza")}
-"""Real circuits added to the tests of the studies."""
-TRAINING = "Brackwater", "Pipkin"
-OPPONENTS = "never-switch", "random-moves", "lattice", "iterated-best-response", "gap-follower"
-"""Circuits and opponents of the training of ``psro``, as in the study ``contest``."""
+"""Real circuits added to the tests of each study; the names of the studies are those of rules."""
 
 ENTRANTS = (
     *("never-switch", "random-moves", "best-fixed", "best-schedule", "best-lead-plan"),
@@ -44,7 +40,7 @@ class Step(NamedTuple):
 
 def steps(maps: Path, out: Path, small: bool) -> list[Step]:
     """Return all steps in their order; a step needs the results of earlier ones only."""
-    found = {rules: ("--archive", str(out / f"archive-{rules}")) for rules in ARCHIVES}
+    found = {rules: ("--archive", str(out / f"archive-{rules}")) for rules in REAL}
     real = {
         rules: ("--test-track", *(str(maps / name) for name in names))
         for rules, names in REAL.items()
@@ -54,12 +50,12 @@ def steps(maps: Path, out: Path, small: bool) -> list[Step]:
     paper = ("quick",) if small else ("paper", *found["paper"], *real["paper"])
     contest = str(SMALL / "study.yaml") if small else "contest"
     return [
-        *(archive_step(rules, small) for rules in ARCHIVES),
+        *(archive_step(rules, small) for rules in REAL),
         Step("paper", GAME, ("study", *paper), "report.html"),
         Step(
             "contest", GAME, ("study", contest, *found["contest"], *real["contest"]), "report.html"
         ),
-        *(ppo_step(rules, found[rules], small) for rules in ARCHIVES),
+        *(ppo_step(rules, found[rules], small) for rules in REAL),
         psro_step(found["contest"], small),
         Step("rows", STUDIES, ("rows", str(out / "paper")), "rows.csv", parallel=False),
         Step("family", STUDIES, ("family", *found["contest"], *where), "family.csv", False),
@@ -71,9 +67,8 @@ def steps(maps: Path, out: Path, small: bool) -> list[Step]:
 
 def archive_step(rules: str, small: bool) -> Step:
     """Return the search for the archive of some rules."""
-    config = str(SMALL / f"archive_{rules}.yaml") if small else ARCHIVES[rules]
-    given = ("synthesize", "--config", config, "--name", ARCHIVES[rules])
-    return Step(f"archive-{rules}", GAME, given, "manifest.yaml")
+    config = str(SMALL / f"archive_{rules}.yaml") if small else load_study_config(rules).archive
+    return Step(f"archive-{rules}", GAME, ("synthesize", "--config", config), "manifest.yaml")
 
 
 def ppo_step(rules: str, archive: tuple[str, ...], small: bool) -> Step:
@@ -84,10 +79,12 @@ def ppo_step(rules: str, archive: tuple[str, ...], small: bool) -> Step:
 
 
 def psro_step(archive: tuple[str, ...], small: bool) -> Step:
-    """Return the training of ``psro`` in the contest."""
+    """Return the training of ``psro`` in the contest, with circuits and opponents of its study."""
     config = str(SMALL / "psro.yaml") if small else "default"
-    game = ("--rules", "contest", "--track", *TRAINING, "--pool", *OPPONENTS, *archive)
-    return Step("psro", GAME, ("train", "psro", "--config", config, *game), "agent/set.yaml")
+    learning = load_study_config("contest").learning
+    game = ("--track", *learning.tracks, "--pool", *learning.response_opponents, *archive)
+    given = ("train", "psro", "--config", config, "--rules", "contest", *game)
+    return Step("psro", GAME, given, "agent/set.yaml")
 
 
 def protocol_step(small: bool) -> Step:

@@ -357,7 +357,7 @@ def test_the_policies_of_the_contest_crash_seldom_and_react_to_the_lead_by_moves
 
 
 def test_the_contest_is_measured_again_with_crashes_as_rare_as_they_should_be():
-    """Two of its policies drive other races than those of its measurement."""
+    """Other races of two policies agree with the measurement of the archive."""
     archive = load_archive("contest")
     champion = archive.settings["champion_1"]
     _, _, final = stage_scenarios(load_archive_config("contest", final_starts=4), champion)
